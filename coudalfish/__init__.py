@@ -1,0 +1,23 @@
+"""Fluid-structure interaction of thin structures immersed in flow, by the dynamic augmented Lagrangian method.
+
+``CouDALFISh.takeStep()`` advances a fluid and a shell by one time step. Source: Kamensky, "Open-source immersogeometric
+analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.camwa.2020.01.023.
+"""
+
+from coudalfish.band import SurfaceBand
+from coudalfish.coupler import CouDALFISh, StepError, StepReport
+from coudalfish.monitors import Monitors
+from coudalfish.options import CouplingOptions, PenaltyRule
+from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
+
+__all__ = [
+    "CouDALFISh",
+    "CouplingOptions",
+    "FluidSubproblem",
+    "Monitors",
+    "PenaltyRule",
+    "ShellSubproblem",
+    "StepError",
+    "StepReport",
+    "SurfaceBand",
+]

@@ -1,0 +1,86 @@
+"""Forces, tangents and multiplier update of the dynamic augmented Lagrangian method, on arrays and matrices.
+
+Source: Kamensky et al., doi:10.1016/j.cma.2014.10.040; Kamensky, doi:10.1016/j.camwa.2020.01.023. The multiplier acts
+along the shell's normal and is a force per reference area: +lam n is what the fluid does to the shell.
+"""
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from tigar_x.compat import FloatArray
+
+
+def point_forces(
+    u: FloatArray, y_dot: FloatArray, lam: FloatArray, n: FloatArray, W: FloatArray, *, penalty: float
+) -> FloatArray:
+    """Force that the fluid exerts on the shell at every point, ``W [beta (u - y') + lam n]``.
+
+    Args:
+        u: fluid velocity, shape (points, d).
+        y_dot: shell velocity, shape (points, d).
+        lam: multiplier, shape (points,); unit: force/area.
+        n: shell normals, shape (points, d).
+        W: reference areas, zero at inactive points, shape (points,).
+        penalty: beta; unit: force time/length^3.
+
+    Returns:
+        Forces, shape (points, d).
+    """
+    return W[:, None] * (penalty * (u - y_dot) + lam[:, None] * n)
+
+
+def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> FloatArray:
+    """Row sums of the penalty tangent of the fluid, ``factor B^T (beta W)``.
+
+    Since ``diag(B^T beta W) - B^T beta W B`` is positive semidefinite, this is a safe, over-damped replacement.
+
+    Args:
+        B: trace matrix, shape (points, nodes).
+        W: reference areas, zero at inactive points, shape (points,).
+        penalty: beta.
+        factor: derivative of u_alpha with respect to the unknown.
+
+    Returns:
+        Diagonal for every velocity component, shape (nodes,).
+    """
+    return factor * penalty * (B.T @ W)
+
+
+def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:
+    """Penalty tangent of the fluid for one velocity component, ``factor B^T diag(beta W) B``.
+
+    It couples only nodes of one cell, so a fluid matrix already has its non-zeros.
+
+    Args:
+        B: trace matrix, shape (points, nodes).
+        W: reference areas, zero at inactive points, shape (points,).
+        penalty: beta.
+        factor: derivative of u_alpha with respect to the unknown.
+
+    Returns:
+        Matrix of shape (nodes, nodes).
+    """
+    return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
+
+
+def updated_multiplier(
+    lam: FloatArray, u: FloatArray, y_dot: FloatArray, n: FloatArray, active: Any, *, penalty: float, relaxation: float
+) -> FloatArray:
+    """Multiplier of the next step, ``[lam + beta (u - y') . n]/(1 + r)``; inactive points keep theirs.
+
+    Args:
+        lam: multiplier of this step, shape (points,).
+        u: fluid velocity, shape (points, d).
+        y_dot: shell velocity, shape (points, d).
+        n: shell normals, shape (points, d).
+        active: mask of the points in the fluid, shape (points,).
+        penalty: beta.
+        relaxation: r >= 0; a steady sheet leaks at the speed r lam/beta.
+
+    Returns:
+        New multiplier, shape (points,).
+    """
+    slip = np.einsum("qi,qi->q", u - y_dot, n)
+    return np.where(active, (lam + penalty * slip) / (1.0 + relaxation), lam)

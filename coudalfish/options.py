@@ -1,0 +1,99 @@
+"""Options of the coupling, one documented default each."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from tigar_x import checks
+
+
+@dataclass(frozen=True)
+class PenaltyRule:
+    """Penalty by rule, ``beta = C_1 mu/h + C_2 rho h/dt``.
+
+    The first term is the published guideline (doi:10.1016/j.camwa.2020.01.023), the second keeps the sheet tight when
+    viscosity vanishes.
+
+    Attributes:
+        C_1: factor of mu/h, >= 0.
+        C_2: factor of rho h/dt, >= 0.
+
+    Raises:
+        ValueError: a factor is negative, or both vanish.
+    """
+
+    C_1: float
+    C_2: float
+
+    def __post_init__(self) -> None:
+        checks.not_negative("C_1", self.C_1)
+        checks.not_negative("C_2", self.C_2)
+        if self.C_1 == 0.0 == self.C_2:
+            raise ValueError("C_1 = C_2 = 0: at least one factor > 0 is required")
+
+    def __call__(self, *, mu: float, rho: float, h: float, dt: float) -> float:
+        """The penalty; unit: force time/length^3."""
+        return self.C_1 * mu / h + self.C_2 * rho * h / dt
+
+
+@dataclass(frozen=True)
+class CouplingOptions:
+    """How fluid and shell are coupled.
+
+    Attributes:
+        penalty: beta as a number (unit: force time/length^3) or a rule.
+        relaxation: r >= 0 in the multiplier update; 0 for transients, about 1e-5 for long quasi-steady loading.
+        scale_m: factor of tau_M in the band around the surface, in (0, 1].
+        scale_c: divisor of tau_C there, in (0, 1].
+        fluid_tangent: penalty tangent of the fluid, "lumped" (its row sums) or "consistent".
+        normal: shell normals from the "predictor" of the step or from the present "iterate".
+        stopping: "before_solve" tests both residuals before a pass solves; "published" tests after both solves.
+        tangent_update: assemble and factor tangents once per "step" or in every "pass".
+        block_rtol: accepted residual of each block relative to its first one in the step.
+        block_atol: accepted residual of each block relative to the size of the forces in it, which is independent of
+            units.
+        max_passes: passes after which the step has failed.
+
+    Raises:
+        ValueError: an option is out of range.
+    """
+
+    penalty: float | PenaltyRule = PenaltyRule(4.0, 0.5)  # noqa: RUF009  (frozen)
+    relaxation: float = 0.0
+    scale_m: float = 1e-3
+    scale_c: float = 0.1
+    fluid_tangent: Literal["lumped", "consistent"] = "lumped"
+    normal: Literal["predictor", "iterate"] = "predictor"
+    stopping: Literal["before_solve", "published"] = "before_solve"
+    tangent_update: Literal["step", "pass"] = "step"
+    block_rtol: float = 1e-2
+    block_atol: float = 1e-8
+    max_passes: int = 100
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.penalty, PenaltyRule):
+            checks.positive("penalty", self.penalty)
+        checks.not_negative("relaxation", self.relaxation)
+        for name in ("scale_m", "scale_c"):
+            checks.within(name, checks.positive(name, getattr(self, name)), 0.0, 1.0)
+        checks.choice("fluid_tangent", self.fluid_tangent, ("lumped", "consistent"))
+        checks.choice("normal", self.normal, ("predictor", "iterate"))
+        checks.choice("stopping", self.stopping, ("before_solve", "published"))
+        checks.choice("tangent_update", self.tangent_update, ("step", "pass"))
+        checks.not_negative("block_rtol", self.block_rtol)
+        checks.not_negative("block_atol", self.block_atol)
+        checks.whole("max_passes", self.max_passes, 1)
+
+    @classmethod
+    def reference(cls) -> "CouplingOptions":
+        """The published algorithm (doi:10.1016/j.camwa.2020.01.023): its equations and its stopping test."""
+        return cls(
+            penalty=PenaltyRule(1.0, 0.0),
+            scale_m=1e-3,
+            scale_c=1e-3,
+            fluid_tangent="lumped",
+            normal="iterate",
+            stopping="published",
+            tangent_update="pass",
+            block_rtol=1e-3,
+            block_atol=0.0,
+        )

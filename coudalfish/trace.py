@@ -1,0 +1,157 @@
+"""From immersed points to one sparse matrix per step: location in the fluid mesh and evaluation of its velocity basis.
+
+Every point is owned by exactly one rank: among the ranks that find it in one of their own cells, the lowest.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
+
+INSIDE = 1e-10
+"""A point is in a cell when no barycentric coordinate is below minus this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """Where points lie.
+
+    Attributes:
+        cells: local cell of every point that this rank owns, -1 elsewhere, shape (points,).
+        barycentric: barycentric coordinates there, zero elsewhere, shape (points, d + 1).
+        active: whether a point lies in the mesh at all, the same on every rank, shape (points,).
+    """
+
+    cells: IntArray
+    barycentric: FloatArray
+    active: Any
+
+    @property
+    def owned(self) -> Any:
+        """Mask of the points that this rank owns."""
+        return self.cells >= 0
+
+
+class PointLocator:
+    """Finds the cells of moving points in a mesh of affine simplices.
+
+    The cells of the previous call are tried first; only points that left theirs go through the bounding box tree.
+
+    Args:
+        domain: fluid mesh of triangles or tetrahedra.
+
+    Raises:
+        ValueError: another cell type, no cell, or a cell of zero size.
+    """
+
+    def __init__(self, domain: mesh.Mesh) -> None:
+        cell = domain.ufl_cell().cellname()
+        if cell not in ("triangle", "tetrahedron"):
+            raise ValueError(f"mesh has cells of type {cell}: immersed points need 'triangle' or 'tetrahedron'")
+        if domain.topology.index_map(domain.topology.dim).size_global == 0:
+            raise ValueError("mesh has no cell: at least one is required")
+        self._comm = domain.comm
+        x = compat.cell_vertices(domain)[: compat.owned_cells(domain)]
+        edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)
+        volumes = np.linalg.det(edges)
+        size = float(np.abs(x).max(initial=0.0))
+        bad = np.flatnonzero(~(np.abs(volumes) > 1e-14 * np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim))
+        if domain.comm.allreduce(len(bad), op=MPI.SUM):
+            where = x[bad[0]].mean(axis=0) if len(bad) else "another rank"
+            raise ValueError(f"mesh has a cell of zero size near {where}: cells of positive size are required")
+        self._origins = x[:, 0]
+        self._inverses = np.linalg.inv(edges)
+        self._tree = compat.bounding_box_tree(domain, padding=INSIDE * max(size, 1e-300)) if len(x) else None
+        self._previous: IntArray | None = None
+
+    def _barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
+        xi = np.einsum("nij,nj->ni", self._inverses[cells], x - self._origins[cells])
+        return np.column_stack([1.0 - xi.sum(axis=1), xi])
+
+    def _search(self, x: FloatArray) -> IntArray:
+        """Cells of points by the tree; -1 where this rank has none. Ties go to the cell that holds the point deepest."""
+        found = np.full(len(x), -1, dtype=np.int32)
+        if self._tree is None or not len(x):
+            return found
+        padded = np.zeros((len(x), 3))
+        padded[:, : x.shape[1]] = x
+        cells, offsets = compat.candidate_cells(self._tree, padded)
+        point = np.repeat(np.arange(len(x)), np.diff(offsets))
+        depth = self._barycentric(cells, x[point]).min(axis=1, initial=np.inf)
+        inside = depth >= -INSIDE
+        point, cells, depth = point[inside], cells[inside], depth[inside]
+        order = np.lexsort((cells, -depth, point))
+        first = np.unique(point[order], return_index=True)[1]
+        found[point[order][first]] = cells[order][first]
+        return found
+
+    def _claim(self, cells: IntArray) -> tuple[IntArray, Any]:
+        """Leave every point to the lowest rank that found it."""
+        rank = np.where(cells >= 0, self._comm.rank, self._comm.size).astype(np.int32)
+        owner = np.empty_like(rank)
+        self._comm.Allreduce(rank, owner, op=MPI.MIN)
+        return np.where(owner == self._comm.rank, cells, -1).astype(np.int32), owner < self._comm.size
+
+    def locate(self, x: FloatArray) -> Location:
+        """Locate points (collective).
+
+        Args:
+            x: the same positions on every rank, shape (points, d); unit: length.
+
+        Returns:
+            The location.
+        """
+        cells = np.full(len(x), -1, dtype=np.int32)
+        if self._previous is not None and len(self._previous) == len(x):
+            known = np.flatnonzero(self._previous >= 0)
+            inside = self._barycentric(self._previous[known], x[known]).min(axis=1, initial=np.inf) >= -INSIDE
+            cells[known[inside]] = self._previous[known[inside]]
+        cells, active = self._claim(cells)
+        missing = np.flatnonzero(~active)
+        if len(missing):
+            cells[missing], active[missing] = self._claim(self._search(x[missing]))
+        self._previous = cells
+        barycentric = np.zeros((len(x), x.shape[1] + 1))
+        mine = np.flatnonzero(cells >= 0)
+        barycentric[mine] = self._barycentric(cells[mine], x[mine])
+        return Location(cells, barycentric, active)
+
+
+class Trace:
+    """Evaluation of a velocity space at located points.
+
+    Args:
+        space: scalar Lagrange space of one velocity component.
+
+    """
+
+    def __init__(self, space: fem.FunctionSpace) -> None:
+        self._space = space
+        self._dofs = compat.cell_dofs(space)
+        index_map = space.dofmap.index_map
+        self._columns = index_map.size_local + index_map.num_ghosts
+
+    def matrix(self, location: Location) -> sp.csr_matrix:
+        """The trace matrix B.
+
+        Args:
+            location: from :meth:`PointLocator.locate`.
+
+        Returns:
+            Matrix of shape (points, local nodes of the space); row q holds the basis values at point q, and is empty
+            where this rank does not own the point.
+        """
+        mine = np.flatnonzero(location.owned)
+        values = compat.tabulate(self._space, location.barycentric[mine, 1:])
+        counts = np.zeros(len(location.cells) + 1, dtype=np.int32)
+        counts[mine + 1] = values.shape[1]
+        columns = self._dofs[location.cells[mine]]
+        return sp.csr_matrix(
+            (values.ravel(), columns.ravel(), np.cumsum(counts)), shape=(len(location.cells), self._columns)
+        )

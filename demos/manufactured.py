@@ -1,0 +1,350 @@
+"""A membrane swept along by a flow: the manufactured fluid-structure benchmark.
+
+The square (0, L)^2 is cut by a membrane that starts as the line x_1 = L/2 and moves with y = V t Y(X_2) e_1,
+Y(s) = L s - s^2. Left of it the flow is u = V Y(x_2) e_1, p = 0. Right of it
+
+    u = V Y(x_2) e_1 + S (V t Y'(x_2) e_1 + e_2),   S = V (x_1 - L/2 - V t Y(x_2))/L,   p = -DP,
+
+so that u is continuous and solenoidal, equals the membrane's velocity on it, and pressure and velocity gradient jump.
+Body forces on both sides and a load on the membrane make this an exact solution of the coupled problem.
+
+Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
+section 5.3.1, doi:10.1016/j.camwa.2020.01.023.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
+from shnapr.loads import dead_load, inertia
+from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from tigar_x import compat, script, shapes
+from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
+from tigar_x.solve import FiniteElementSystem, direct, gmres_ilu
+from tigar_x.spline import ExtractedSpline
+from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from varmint.boundary import weak_dirichlet
+from varmint.space import equal_order_space, split
+from varmint.vms import interior_residual
+
+DOI = "10.1016/j.camwa.2020.01.023"
+TOY = {"level": 1, "dt_factor": 1.0}
+
+# Errors of the published code per unit depth, measured with degree-2 quadrature on a one-layer extrusion.
+PUBLISHED_CODE = {
+    1: {"L2_u": 7.250e-2, "H1_u": 8.918e-1, "L2_p": 3.656, "L2_y": 1.400e-3, "H1_y": 3.665e-2},
+    2: {"L2_u": 5.011e-2, "H1_u": 7.499e-1, "L2_p": 8.388e-1, "L2_y": 1.370e-3, "H1_y": 1.907e-2},
+    3: {"L2_u": 1.831e-2, "H1_u": 4.068e-1, "L2_p": 1.434e-1, "L2_y": 7.694e-4, "H1_y": 9.562e-3},
+    4: {"L2_u": 6.542e-3, "H1_u": 2.428e-1, "L2_p": 8.882e-2, "L2_y": 3.852e-4, "H1_y": 4.776e-3},
+}
+
+
+@dataclass(frozen=True)
+class Data:
+    """The problem's data; consistent units."""
+
+    L: float = 1.0
+    V: float = 1.0
+    DP: float = 1.0
+    T: float = 1.0
+    mu: float = 0.1
+    rho: float = 1.0
+    youngs_modulus: float = 1.0
+    poisson_ratio: float = 0.3
+    thickness: float = 0.3
+    rho_s: float = 1.0
+    prestress: float = 10.0
+    rho_infinity: float = 0.0
+
+
+def constants(domain: mesh.Mesh, data: Data) -> SimpleNamespace:
+    """The data as Constants on a mesh, so that other numbers compile nothing again."""
+    return SimpleNamespace(**{name: fem.Constant(domain, float(value)) for name, value in vars(data).items()})
+
+
+def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
+    """Velocity u, pressure p and body force per mass f, each chosen by side, and grad(u) taken side by side."""
+    Y, dY = c.L * x[1] - x[1] ** 2, c.L - 2 * x[1]
+    e_1, e_2 = ufl.as_vector([1.0, 0.0]), ufl.as_vector([0.0, 1.0])
+    S = c.V * (x[0] - c.L / 2 - c.V * t * Y) / c.L
+    u_left = c.V * Y * e_1
+    u_right = u_left + S * (c.V * t * dY * e_1 + e_2)
+    rate_right = c.V**2 * (((x[0] - c.L / 2) * dY - 2 * c.V * t * Y * dY) * e_1 - Y * e_2) / c.L
+    left = ufl.lt(x[0], c.L / 2 + c.V * t * Y)
+
+    def force(u: Any, rate: Any) -> Any:
+        return rate + ufl.grad(u) * u - ufl.div(2 * c.mu / c.rho * ufl.sym(ufl.grad(u)))
+
+    f_left, f_right = force(u_left, ufl.zero(2)), force(u_right, rate_right)
+    return SimpleNamespace(
+        u=ufl.conditional(left, u_left, u_right),
+        p=ufl.conditional(left, 0.0, -c.DP),
+        grad_u=ufl.conditional(left, ufl.grad(u_left), ufl.grad(u_right)),
+        f=ufl.conditional(left, f_left, f_right),
+    )
+
+
+def exact_displacement(X: Any, t: Any, c: Any) -> Any:
+    """Displacement of the membrane."""
+    return c.V * t * (c.L * X[1] - X[1] ** 2) * ufl.as_vector([1.0, 0.0])
+
+
+def membrane_load(X: Any, t: Any, c: Any) -> Any:
+    """Force per reference area that closes the membrane's balance: inertia is zero, stresses and traction are not."""
+    dY, ddY, a = c.L - 2 * X[1], -2.0, c.V * t
+    g = 1 + (a * dY) ** 2
+    K = c.youngs_modulus * c.thickness / (1 - c.poisson_ratio**2)
+    shear = c.mu * g * c.V / c.L
+    traction = c.DP * ufl.as_vector([1, -a * dY]) + shear * ufl.as_vector([a * dY, 1])
+    elastic = ufl.as_vector([(1.5 * K * a**3 * dY**2 + c.prestress * a) * ddY, K * a**2 * dY * ddY])
+    return -elastic - traction
+
+
+def project(function: fem.Function, expression: Any) -> None:
+    """L2 projection onto a finite element space."""
+    dx = ufl.dx(metadata={"quadrature_degree": 4})
+    residual = ufl.inner(function - expression, ufl.TestFunction(function.function_space)) * dx
+    system = FiniteElementSystem(residual, function)
+    system.assemble_residual()
+    system.assemble_tangent()
+    system.subtract(system.solve())
+
+
+def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: Any) -> FluidSubproblem:
+    """The flow: VMS interior, weak Dirichlet conditions on all sides, pressure pinned at the origin."""
+    c = constants(domain, data)
+    V = equal_order_space(domain)
+    w = fem.Function(V, name="w")
+    time = TimeIntegrator(w, dt, generalized_alpha(data.rho_infinity), algebraic=(2,))
+    x = ufl.SpatialCoordinate(domain)
+    start = exact_flow(x, 0.0, c)
+    project(w, ufl.as_vector([start.u[0], start.u[1], start.p]))
+    time.x_old.x.array[:] = w.x.array
+
+    band = SurfaceBand(domain)
+    (v, p), (v_t, _), (z, q) = split(time.x_alpha), split(time.xdot_alpha), split(ufl.TestFunction(V))
+    exact = exact_flow(x, time.t_alpha, c)
+    residual = interior_residual(
+        v, p, z, q, domain, rho=c.rho, mu=c.mu, v_t=v_t, f=exact.f, dt=time.dt, scale_m=band.scale_m, scale_c=band.scale_c
+    )
+    ds = ufl.ds(domain=domain, metadata={"quadrature_degree": 2})
+    residual += weak_dirichlet(v, p, z, q, exact.u, domain, ds, rho=c.rho, mu=c.mu)
+    pin = compat.pin_component(V, 2, lambda x: np.isclose(x[0], 0.0, atol=1e-6) & np.isclose(x[1], 0.0, atol=1e-6))
+    return FluidSubproblem(
+        domain, residual, time, bcs=[pin], band=band, solver=solver, density=data.rho, viscosity=data.mu
+    )
+
+
+def make_membrane(data: Data, elements: int, dt: float, projected: bool) -> ShellSubproblem:
+    """The membrane: linear B-splines, fixed ends, no bending."""
+    patch = shapes.line((data.L / 2, 0.0), (data.L / 2, data.L), elements=elements)
+    ends = np.concatenate([patch.side_dofs(0, 0), patch.side_dofs(0, 1)])
+    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=ends)
+    c = constants(spline.mesh, data)
+    speed = exact_displacement(spline.F, 1.0, c)
+    if projected:
+        velocity = spline.project(speed)
+    else:
+        s = patch.points[:, 1]
+        velocity = spline.function(np.column_stack([data.V * (data.L * s - s**2), 0.0 * s]))
+
+    y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
+    scheme = generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True)
+    time = TimeIntegrator(y, dt, scheme, xdot=velocity)
+    material = StVenantKirchhoff(
+        c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=(c.prestress,), bending=False
+    )
+    residual = virtual_work(spline, lambda y: strain_energy(spline, material, y), time.x_alpha, z)
+    residual += inertia(spline, time.xddot_alpha, z, density=c.rho_s, thickness=c.thickness)
+    residual += dead_load(spline, membrane_load(spline.F, time.t_alpha, c), z)
+    return ShellSubproblem(spline, residual, time, solver=direct("petsc"))
+
+
+def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, float]:
+    """Norms of the errors at time t; the gradient is compared side by side."""
+    domain, spline = fsi.mesh_f, fsi.spline_sh
+    (v, p), y = split(fsi.timeInt_f.x), fsi.timeInt_sh.x
+    exact = exact_flow(ufl.SpatialCoordinate(domain), t, constants(domain, data))
+    dx = ufl.dx(domain=domain, metadata={"quadrature_degree": degree})
+    e_y = y - exact_displacement(spline.F, t, constants(spline.mesh, data))
+    forms = compat.compile_forms(
+        ufl.inner(v - exact.u, v - exact.u) * dx,
+        ufl.inner(ufl.grad(v) - exact.grad_u, ufl.grad(v) - exact.grad_u) * dx,
+        (p - exact.p) ** 2 * dx,
+        ufl.inner(e_y, e_y) * spline.dx,
+        ufl.inner(spline.grad(e_y), spline.grad(e_y)) * spline.dx,
+    )
+    names = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
+    return {name: compat.assemble_scalar(form) ** 0.5 for name, form in zip(names, forms, strict=True)}
+
+
+def main(
+    dim: Literal[2] = 2,
+    level: int = 2,
+    preset: Literal["reference", "default"] = "default",
+    dt_factor: float | None = None,
+    initial_velocity: Literal["projected", "interpolated"] | None = None,
+    out: Path = Path("results/manufactured"),
+    viz: bool = True,
+) -> dict[str, Any]:
+    """Run the manufactured fluid-membrane benchmark and check it against its exact solution.
+
+    Args:
+        dim: dimension of space.
+        level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
+        preset: the published algorithm, or this library's defaults.
+        dt_factor: time step relative to the published one, T/(2 N); default 1 for the reference preset, else 4.
+        initial_velocity: membrane velocity at t = 0, projected as in the published code or interpolated;
+            default: projected for the reference preset, else interpolated.
+        out: folder of the results.
+        viz: whether to write ParaView files and a picture.
+
+    Returns:
+        The summary.
+    """
+    data, reference = Data(), preset == "reference"
+    factor = dt_factor if dt_factor is not None else (1.0 if reference else 4.0)
+    start = initial_velocity or ("projected" if reference else "interpolated")
+    N = 3 * 2**level
+    steps = max(1, round(2 * N / factor))
+    dt = data.T / steps
+
+    slack = 3e-8  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
+    corners = [np.full(2, -slack), np.full(2, data.L + slack)]
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
+    solver = direct() if reference else gmres_ilu(1)
+    fluid = make_fluid(domain, data, dt, solver)
+    membrane = make_membrane(data, 2 ** (level + 3), dt, start == "projected")
+    options = CouplingOptions.reference() if reference else CouplingOptions()
+    fsi = CouDALFISh(fluid, membrane, options, multiplier=data.DP)
+
+    watch, progress = script.Stopwatch(), script.Progress(steps)
+    reports, memory = [], []
+    pictures = Pictures(out, fsi) if viz else None
+    for _ in progress:
+        with watch:
+            report = fsi.takeStep()
+        reports.append(report)
+        memory.append(script.rss_mib())
+        progress.show(report)
+        if pictures:
+            pictures.write(report)
+    if pictures:
+        pictures.close(data, fsi)
+
+    passes = [report.passes for report in reports]
+    inputs = {"dim": dim, "level": level, "preset": preset, "dt_factor": factor, "initial_velocity": start, "options": options}
+    measured = errors(fsi, data, data.T, 2)
+    summary = script.write_summary(
+        out,
+        "manufactured",
+        inputs,
+        errors=measured,
+        errors_true=errors(fsi, data, data.T, 8),
+        steps=steps,
+        block_iterations_mean=float(np.mean(passes)),
+        block_iterations_max=max(passes),
+        linear_iterations_mean=float(np.mean([report.linear_iterations for report in reports])),
+        dofs_fluid=fluid.timeInt.x.function_space.dofmap.index_map.size_global * 3,
+        dofs_shell=membrane.spline.patch.basis.n * 2,
+        wall_s=watch.wall_s,
+        cpu_s=watch.cpu_s,
+        rss_mib_step_10=memory[min(9, len(memory) - 1)],
+        rss_mib_end=memory[-1],
+        monitors={
+            "normal_slip_max": max(report.monitors.normal_slip_max for report in reports),
+            "leak_max": max(abs(report.monitors.leak) for report in reports),
+            "force_imbalance_max": max(report.monitors.force_imbalance for report in reports),
+            "slip_ratio_max": max(report.slip_ratio for report in reports),
+        },
+    )
+    if MPI.COMM_WORLD.rank == 0:
+        published = PUBLISHED_CODE.get(level, {})
+        rows = [(name, value, summary["errors_true"][name], published.get(name, "-")) for name, value in measured.items()]
+        print(f"level {level}, preset {preset}, {steps} steps, {watch.cpu_s:.3g} CPU s, {np.mean(passes):.2f} passes a step")
+        print(script.table(["norm", "error (degree 2)", "error (degree 8)", f"published code (doi:{DOI})"], rows))
+    return summary
+
+
+class Pictures:
+    """ParaView files and histories of the run, and a picture at its end."""
+
+    def __init__(self, out: Path, fsi: CouDALFISh) -> None:
+        w, time = fsi.timeInt_f.x, fsi.timeInt_sh
+        self._out = out
+        self._fluid = XDMFSeries(out / "fluid.xdmf", fsi.mesh_f, velocity=(w, (0, 1)), pressure=(w, (2,)))
+        self._shell = VTUSeries(
+            out / "shell",
+            fsi.spline_sh,
+            y=time.x,
+            velocity=time.xdot_old,
+            multiplier=lambda: fsi.lam,
+            normal=fsi.shell.normals,
+        )
+        self._history = CSVSeries(out / "history.csv", ("passes", "normal_slip_rms", "leak", "force_1", "force_2"))
+
+    def write(self, report: Any) -> None:
+        """Append the present state."""
+        m = report.monitors
+        self._fluid.write(report.t)
+        self._shell.write(report.t)
+        self._history.write(report.t, report.passes, m.normal_slip_rms, m.leak, *m.force)
+
+    def close(self, data: Data, fsi: CouDALFISh) -> None:
+        """Finish the files and draw the final state."""
+        for series in (self._fluid, self._shell, self._history):
+            series.close()
+        draw(self._out / "manufactured.png", data, fsi)
+
+
+def draw(path: Path, data: Data, fsi: CouDALFISh) -> None:
+    """Final pressure with streamlines, and the membrane's displacement against the exact one."""
+    domain, w = fsi.mesh_f, fsi.timeInt_f.x
+    cells, space = compat.cell_vertices(domain)[: compat.owned_cells(domain)], w.function_space
+    values = w.x.array.reshape(-1, 3)[compat.cell_dofs(space)[: compat.owned_cells(domain)]]
+    parts = domain.comm.gather((cells, values))
+    if parts is None:
+        return
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.tri import LinearTriInterpolator, Triangulation
+
+    x, f = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    corners, index = np.unique(x.reshape(-1, 2).round(9), axis=0, return_inverse=True)
+    nodal = np.empty((len(corners), 3))
+    nodal[index.ravel()] = f.reshape(-1, 3)
+    triangles = Triangulation(*corners.T, index.reshape(-1, 3))
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
+    shade = left.tripcolor(triangles, nodal[:, 2], shading="gouraud", cmap="RdBu_r", vmin=-1.5 * data.DP, vmax=0.5 * data.DP)
+    figure.colorbar(shade, ax=left, label="pressure")
+    g = np.linspace(0.0, data.L, 60)
+    grid = np.meshgrid(g, g)
+    u, v = (np.asarray(LinearTriInterpolator(triangles, nodal[:, i])(*grid)) for i in (0, 1))
+    left.streamplot(g, g, u, v, density=1.1, color="0.25", linewidth=0.6, arrowsize=0.7)
+    order = np.argsort(fsi.spline_sh.node_positions[:, 1])
+    X = fsi.spline_sh.node_positions[order]
+    y = fsi.spline_sh.nodal(fsi.timeInt_sh.x)[order]
+    left.plot(X[:, 0] + y[:, 0], X[:, 1] + y[:, 1], "k-", linewidth=2.0, label="membrane")
+    left.set(aspect="equal", xlim=(0, data.L), ylim=(0, data.L), xlabel="$x_1$", ylabel="$x_2$")
+    left.set_title(f"t = {fsi.timeInt_f.time:.3g}: pressure, streamlines, membrane")
+    exact = data.V * fsi.timeInt_f.time * (data.L * X[:, 1] - X[:, 1] ** 2)
+    right.plot(X[:, 1], exact, "k-", linewidth=1.0, label="exact")
+    right.plot(X[:, 1], y[:, 0], "C3--", linewidth=1.5, label="computed")
+    right.set(xlabel="$X_2$", ylabel="$y_1$", title="displacement of the membrane")
+    right.legend()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    script.command_line(main)

@@ -1,0 +1,193 @@
+"""Time series on disk: fields on a mesh as XDMF, splines in physical space as VTU with a PVD index, histories as CSV.
+
+Every series is a context manager with one verb, ``write(t)``.
+"""
+
+import csv
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from dolfinx import fem, io, mesh
+from mpi4py import MPI
+
+from tigar_x import compat
+from tigar_x.compat import FloatArray
+from tigar_x.extraction import subcells
+from tigar_x.spline import ExtractedSpline
+
+
+class _Series:
+    def close(self) -> None:
+        """Finish the files."""
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+class XDMFSeries(_Series):
+    """Vertex values of components of finite element functions, as XDMF with HDF5 (collective).
+
+    Args:
+        path: file name ending in ``.xdmf``; its folder is made.
+        domain: mesh.
+        fields: for every name a function and the components to write, such as ``velocity=(w, (0, 1))``.
+    """
+
+    def __init__(self, path: Path | str, domain: mesh.Mesh, **fields: tuple[fem.Function, Sequence[int]]) -> None:
+        target = Path(path)
+        if domain.comm.rank == 0:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        domain.comm.barrier()
+        self._copies = [self._prepare(domain, name, *field) for name, field in fields.items()]
+        self._file = io.XDMFFile(domain.comm, str(target), "w")
+        self._file.write_mesh(domain)
+
+    @staticmethod
+    def _prepare(domain: mesh.Mesh, name: str, source: fem.Function, components: Sequence[int]) -> Any:
+        size = len(components)
+        target = fem.Function(compat.lagrange_space(domain, 1, size), name=name)
+        vertices = domain.topology.dim + 1 if "quad" not in domain.ufl_cell().cellname() else 4
+        to = compat.cell_dofs(target.function_space)[:, :vertices].ravel()
+        pairs = []
+        for i, component in enumerate(components):
+            scalar, parent = compat.component_space(source.function_space, component)
+            pairs.append((size * to + i, parent[compat.cell_dofs(scalar)[:, :vertices].ravel()]))
+        return source, target, pairs
+
+    def write(self, t: float) -> None:
+        """Append the present fields at time ``t``."""
+        for source, target, pairs in self._copies:
+            for to, origin in pairs:
+                target.x.array[to] = source.x.array[origin]
+            self._file.write_function(target, t)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+
+class VTUSeries(_Series):
+    """A deformed spline in physical space: numbered VTU files and one PVD index that ParaView opens.
+
+    Bezier elements are drawn as linear cells between neighbouring nodes. Only rank 0 writes.
+
+    Args:
+        path: path without ending; its folder is made.
+        spline: lives whole on this rank.
+        y: homogeneous displacement; None: the reference configuration.
+        fields: point data by name: a homogeneous function of the spline's ``V``, or a callable that returns values at
+            the nodes, shape (nodes,) or (nodes, nsd).
+
+    Raises:
+        ValueError: the spline is distributed.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        spline: ExtractedSpline,
+        y: fem.Function | None = None,
+        **fields: fem.Function | Callable[[], FloatArray],
+    ) -> None:
+        if spline.mesh.comm.size > 1:
+            raise ValueError(f"spline lives on {spline.mesh.comm.size} ranks: VTUSeries needs MPI.COMM_SELF")
+        self._path = Path(path)
+        self._spline = spline
+        self._y = y
+        self._fields = fields
+        self._cells = subcells(spline.extraction)
+        self._entries: list[str] = []
+        self._writes = MPI.COMM_WORLD.rank == 0
+        if self._writes:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+
+    @staticmethod
+    def _padded(values: FloatArray) -> FloatArray:
+        if values.ndim == 1 or values.shape[1] == 3:
+            return values
+        return np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
+
+    def _values(self, field: Any) -> FloatArray:
+        values = self._spline.nodal(field) if isinstance(field, fem.Function) else np.asarray(field())
+        return self._padded(values)
+
+    def write(self, t: float) -> None:
+        """Write the present configuration at time ``t``."""
+        if not self._writes:
+            return
+        import meshio
+
+        points, data = self._spline.node_positions, {}
+        if self._y is not None:
+            displacement = self._spline.nodal(self._y)
+            points = points + displacement
+            data["displacement"] = self._padded(displacement)
+        data.update({name: self._values(field) for name, field in self._fields.items()})
+        kind = "line" if self._cells.shape[1] == 2 else "quad"
+        file = self._path.with_name(f"{self._path.name}_{len(self._entries):06d}.vtu")
+        meshio.Mesh(self._padded(points), [(kind, self._cells)], point_data=data).write(file)
+        self._entries.append(f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{file.name}"/>\n')
+        index = (
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+            + "".join(self._entries)
+            + "  </Collection>\n</VTKFile>\n"
+        )
+        replace_text(self._path.with_suffix(".pvd"), index)
+
+
+class CSVSeries(_Series):
+    """A history as CSV, one row per step, flushed at once. Only rank 0 writes.
+
+    Args:
+        path: file name; its folder is made.
+        columns: names of the columns after ``t``.
+    """
+
+    def __init__(self, path: Path | str, columns: Sequence[str]) -> None:
+        self._columns = tuple(columns)
+        self._file = None
+        if MPI.COMM_WORLD.rank == 0:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            self._file = open(path, "w", newline="")  # noqa: SIM115  (closed by close)
+            self._writer = csv.writer(self._file)
+            self._writer.writerow(["t", *self._columns])
+
+    def write(self, t: float, *values: Any) -> None:
+        """Append a row.
+
+        Args:
+            t: time.
+            values: one per column.
+
+        Raises:
+            ValueError: not as many values as columns.
+        """
+        if len(values) != len(self._columns):
+            raise ValueError(f"values has {len(values)} entries: {len(self._columns)} are required {self._columns}")
+        if self._file is not None:
+            self._writer.writerow([t, *values])
+            self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write a text file so that a reader finds the old or the new content, never a part.
+
+    Args:
+        path: file name.
+        text: content.
+    """
+    part = path.with_name(path.name + ".part")
+    part.write_text(text)
+    os.replace(part, path)

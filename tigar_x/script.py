@@ -1,0 +1,240 @@
+"""What a script needs around a run: its command line, its log, a progress bar, costs and a summary."""
+
+import argparse
+import inspect
+import json
+import logging
+import resource
+import sys
+import time
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from tigar_x import compat
+from tigar_x.output import replace_text
+
+log = logging.getLogger(__name__)
+
+
+def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -> Any:
+    """Run ``main`` with the options of the command line; its signature says which there are.
+
+    Parameters become ``--options`` with their default and annotation (int, float, str, bool, Path, Literal, optional
+    ones of these); help is taken from the ``Args`` section of its docstring. A boolean gets a ``--no-`` form.
+
+    Args:
+        main: the script's function, every parameter annotated and with a default.
+        arguments: command line; None: that of the process.
+
+    Returns:
+        What ``main`` returns.
+    """
+    doc = inspect.getdoc(main) or ""
+    parser = argparse.ArgumentParser(description=doc.split("\n\n")[0])
+    hints = typing.get_type_hints(main)
+    for name, parameter in inspect.signature(main).parameters.items():
+        hint = hints[name]
+        if typing.get_origin(hint) in (types.UnionType, typing.Union):
+            hint = next(part for part in typing.get_args(hint) if part is not type(None))
+        options: dict[str, Any] = {"default": parameter.default, "help": _help(doc, name)}
+        if hint is bool:
+            options["action"] = argparse.BooleanOptionalAction
+        elif typing.get_origin(hint) is typing.Literal:
+            options["choices"] = typing.get_args(hint)
+            options["type"] = type(options["choices"][0])
+        else:
+            options["type"] = hint
+        parser.add_argument("--" + name.replace("_", "-"), **options)
+    set_up_logging()
+    return main(**vars(parser.parse_args(arguments)))
+
+
+def _help(doc: str, name: str) -> str:
+    lines = iter(doc.splitlines())
+    for line in lines:
+        head, _, text = line.strip().partition(": ")
+        if head == name:
+            more = [text]
+            for following in lines:
+                if not following.startswith("        "):
+                    break
+                more.append(following.strip())
+            return " ".join(more).replace("%", "%%")
+    return ""
+
+
+class _PackagesOnly(logging.Filter):
+    """Keeps the chatter of compilers and third parties out of a run's log."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        ours = record.name.split(".")[0] in ("tigar_x", "shnapr", "varmint", "coudalfish", "__main__")
+        return ours or record.levelno >= logging.WARNING
+
+
+def set_up_logging(level: int = logging.INFO) -> None:
+    """Log to standard error: everything on rank 0, errors on the others.
+
+    Args:
+        level: lowest level of rank 0.
+    """
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    handler.addFilter(_PackagesOnly())
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(level if MPI.COMM_WORLD.rank == 0 else logging.ERROR)
+
+
+class Progress:
+    """Steps with a bar in a terminal and plain log lines elsewhere, on rank 0.
+
+    Args:
+        n_steps: number of steps.
+        lines: number of log lines in the whole run where there is no terminal.
+    """
+
+    def __init__(self, n_steps: int, lines: int = 10) -> None:
+        self._n = n_steps
+        self._every = max(1, n_steps // lines)
+        self._done = 0
+        self._rank = MPI.COMM_WORLD.rank
+        self._bar = sys.stderr.isatty()
+
+    def __iter__(self) -> Iterator[int]:
+        """Iterate over the step numbers, from 1."""
+        for n in range(1, self._n + 1):
+            self._done = n
+            yield n
+        if self._bar and self._rank == 0:
+            sys.stderr.write("\n")
+
+    def show(self, report: Any) -> None:
+        """Show where the run is.
+
+        Args:
+            report: the step's report with ``t``, ``passes`` and ``residuals``.
+        """
+        if self._rank:
+            return
+        if not self._bar and self._done % self._every and self._done < self._n:
+            return
+        residuals = ", ".join(f"{r:.1e}" for r in report.residuals[-1])
+        text = f"step {self._done}/{self._n}  t = {report.t:.4g}  passes {report.passes}  residuals {residuals}"
+        if not self._bar:
+            log.info(text)
+            return
+        filled = 24 * self._done // self._n
+        sys.stderr.write(f"\r[{'#' * filled}{'.' * (24 - filled)}] {text}\x1b[K")
+        sys.stderr.flush()
+
+
+def peak_rss_mib() -> float:
+    """Largest resident memory of this process so far [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def rss_mib() -> float:
+    """Present resident memory of this process [MiB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+class Stopwatch:
+    """Wall and CPU seconds inside ``with`` blocks, added up; form compilation is not counted.
+
+    Attributes:
+        wall_s: wall seconds.
+        cpu_s: CPU seconds of this process.
+    """
+
+    def __init__(self) -> None:
+        self.wall_s = 0.0
+        self.cpu_s = 0.0
+
+    def __enter__(self) -> "Stopwatch":
+        self._start = time.perf_counter(), time.process_time(), compat.compile_seconds()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        wall, cpu, compiled = self._start
+        spent = compat.compile_seconds() - compiled
+        self.wall_s += time.perf_counter() - wall - spent
+        self.cpu_s += time.process_time() - cpu - spent
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of interest.
+
+    Attributes:
+        value: computed.
+        published: value in the literature; None: none.
+        doi: where it was published; None: nowhere.
+    """
+
+    value: float
+    published: float | None = None
+    doi: str | None = None
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain({k: v for k, v in asdict(value).items() if v is not None})
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value
+
+
+def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) -> dict[str, Any]:
+    """Write ``summary.json`` of a demo; costs of the process and versions are added.
+
+    Args:
+        out: folder of the results; made if missing.
+        demo: name of the demo.
+        inputs: its parameters.
+        results: errors, quantities and costs; those that are None are left out.
+
+    Returns:
+        The summary.
+    """
+    known = {key: value for key, value in results.items() if value is not None}
+    summary = _plain(
+        {
+            "demo": demo,
+            "inputs": inputs,
+            **known,
+            "compile_s": compat.compile_seconds(),
+            "peak_rss_mib": MPI.COMM_WORLD.allreduce(peak_rss_mib(), op=MPI.MAX),
+            "versions": compat.versions(),
+        }
+    )
+    if MPI.COMM_WORLD.rank == 0:
+        out.mkdir(parents=True, exist_ok=True)
+        replace_text(out / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    return dict(summary)
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Plain text table.
+
+    Args:
+        header: column names.
+        rows: rows of the same length; floats are shown with four digits.
+
+    Returns:
+        Lines with aligned columns.
+    """
+    cells = [[f"{c:.4g}" if isinstance(c, float) else str(c) for c in row] for row in [list(header), *map(list, rows)]]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in cells)

@@ -1,0 +1,475 @@
+"""Linear algebra: named solver recipes, extracted and plain finite element systems, and the one Newton loop.
+
+Increments are subtracted throughout: ``K dx = R``, ``x <- x - dx``.
+"""
+
+import itertools
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import ArrayLike
+from petsc4py import PETSc
+
+from tigar_x import checks, compat
+from tigar_x.compat import FloatArray
+
+if TYPE_CHECKING:
+    from tigar_x.spline import ExtractedSpline
+
+log = logging.getLogger(__name__)
+_prefixes = itertools.count()
+
+
+class SolveError(RuntimeError):
+    """A linear or nonlinear solve that gave no usable answer."""
+
+
+@dataclass(frozen=True)
+class LinearSolver:
+    """A named recipe for ``A x = b``.
+
+    Attributes:
+        name: what messages and reports call it.
+        options: PETSc options of the KSP, without prefix.
+        matrix: PETSc matrix type that the recipe wants for node-blocked systems, "aij" or "baij".
+        rebuild_growth: keep a preconditioner while iterations stay below this factor times those after it was built;
+            None: rebuild it whenever the matrix changed.
+        fallback: recipe to use when this one fails; None: fail.
+    """
+
+    name: str
+    options: Mapping[str, str | int | float] = field(hash=False)
+    matrix: str = "aij"
+    rebuild_growth: float | None = None
+    fallback: "LinearSolver | None" = None
+
+
+def direct(package: str = "mumps") -> LinearSolver:
+    """Sparse LU factorisation.
+
+    Args:
+        package: PETSc factorisation package, such as "mumps" (any number of ranks) or "petsc" (one rank, small systems).
+
+    Returns:
+        The recipe.
+    """
+    options: dict[str, str | int | float] = {"ksp_type": "preonly", "pc_type": "lu"}
+    options["pc_factor_mat_solver_type"] = package
+    return LinearSolver(f"direct({package})", options)
+
+
+def gmres_ilu(
+    levels: int = 1,
+    *,
+    rtol: float = 1e-3,
+    max_iterations: int = 200,
+    overlap: int = 1,
+    rebuild_growth: float | None = None,
+    fallback: LinearSolver | None = None,
+) -> LinearSolver:
+    """Right-preconditioned GMRES with node-blocked incomplete LU in reverse Cuthill-McKee order.
+
+    On several ranks the factorisation is the subdomain solver of an overlapping additive Schwarz method.
+
+    Args:
+        levels: levels of fill.
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        overlap: overlap of the Schwarz subdomains.
+        rebuild_growth: see :class:`LinearSolver`.
+        fallback: recipe to use when GMRES fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    ilu = {
+        "pc_type": "ilu",
+        "pc_factor_levels": checks.whole("levels", levels, 0),
+        "pc_factor_mat_ordering_type": "rcm",
+    }
+    options: dict[str, str | int | float] = {
+        "ksp_type": "gmres",
+        "ksp_pc_side": "right",
+        "ksp_norm_type": "unpreconditioned",
+        "ksp_rtol": checks.positive("rtol", rtol),
+        "ksp_max_it": checks.whole("max_iterations", max_iterations, 1),
+        "ksp_gmres_restart": max_iterations,
+        "pc_type": "asm",
+        "pc_asm_overlap": checks.whole("overlap", overlap, 0),
+    }
+    options.update({f"sub_{key}": value for key, value in ilu.items()})
+    last_resort = direct() if fallback is None else fallback
+    return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, last_resort)
+
+
+class PreparedSolver:
+    """A recipe bound to one matrix, with its factors or preconditioner kept as long as they serve.
+
+    Args:
+        recipe: what to do.
+        A: the matrix; its values may change between solves, its pattern may not.
+    """
+
+    def __init__(self, recipe: LinearSolver, A: PETSc.Mat) -> None:
+        self.recipe = recipe
+        self._A = A
+        self._ksp = self._create(recipe, A)
+        self._kept_iterations: int | None = None
+        self._fallback: PreparedSolver | None = None
+
+    @staticmethod
+    def _create(recipe: LinearSolver, A: PETSc.Mat) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        prefix = f"tigar_x_{next(_prefixes)}_"
+        ksp.setOptionsPrefix(prefix)
+        options = PETSc.Options()
+        chosen = dict(recipe.options)
+        if A.comm.size == 1 and chosen.get("pc_type") == "asm":
+            chosen["pc_type"] = "ilu"
+            chosen.update({key.removeprefix("sub_"): value for key, value in chosen.items() if key.startswith("sub_")})
+            chosen = {k: v for k, v in chosen.items() if not k.startswith(("sub_", "pc_asm"))}
+        for key, value in chosen.items():
+            options[prefix + key] = value
+        ksp.setFromOptions()
+        return ksp
+
+    def _attempt(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        try:
+            self._ksp.solve(b, x)
+        except PETSc.Error as error:
+            log.warning("%s failed: %s", self.recipe.name, error)
+            return False
+        return self._ksp.getConvergedReason() > 0 and math.isfinite(x.norm())
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
+        """Solve ``A x = b``.
+
+        Args:
+            b: right-hand side, finite.
+            x: overwritten by the solution.
+
+        Returns:
+            Number of iterations (1 for a direct solver).
+
+        Raises:
+            SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
+        """
+        pc = self._ksp.getPC()
+        keep = self.recipe.rebuild_growth is not None and self._kept_iterations is not None
+        pc.setReusePreconditioner(keep)
+        solved = self._attempt(b, x)
+        iterations = int(self._ksp.getIterationNumber())
+        growth = self.recipe.rebuild_growth
+        if keep and growth is not None and (not solved or iterations > growth * (self._kept_iterations or 0) + 2):
+            self._kept_iterations = None
+            if not solved:
+                return self.solve(b, x)
+        elif not keep:
+            self._kept_iterations = iterations
+        if solved:
+            return max(iterations, 1)
+        reason, self._kept_iterations = self._ksp.getConvergedReason(), None
+        if self.recipe.fallback is None:
+            raise SolveError(f"{self.recipe.name} failed after {iterations} iterations (PETSc reason {reason})")
+        log.warning("%s failed (PETSc reason %d); using %s", self.recipe.name, reason, self.recipe.fallback.name)
+        if self._fallback is None:
+            self._fallback = PreparedSolver(self.recipe.fallback, self._A)
+        return iterations + self._fallback.solve(b, x)
+
+
+class System(Protocol):
+    """What the Newton loop needs to know of a nonlinear problem."""
+
+    def assemble_residual(self) -> float:
+        """Assemble the residual at the present state and return its norm."""
+
+    def assemble_tangent(self) -> None:
+        """Assemble the tangent at the present state."""
+
+    def solve(self) -> PETSc.Vec:
+        """Solve for the increment of the present residual."""
+
+    def subtract(self, increment: PETSc.Vec) -> None:
+        """Move the state by minus the increment."""
+
+
+class FiniteElementSystem:
+    """A residual in a finite element space with strong boundary conditions.
+
+    Args:
+        residual: UFL residual R(x; test).
+        x: the unknown.
+        bcs: strong conditions; their values enter through :meth:`apply_boundary_values`.
+        tangent: UFL tangent; None: the derivative of the residual.
+        solver: linear solver recipe.
+
+    Attributes:
+        A: tangent matrix.
+        b: residual vector, with ghosts.
+        iterations: linear iterations of the last solve.
+    """
+
+    def __init__(
+        self,
+        residual: ufl.Form,
+        x: fem.Function,
+        bcs: Sequence[Any] = (),
+        *,
+        tangent: ufl.Form | None = None,
+        solver: LinearSolver | None = None,
+    ) -> None:
+        self.x = x
+        self.bcs = tuple(bcs)
+        self._solver_recipe = direct() if solver is None else solver
+        jacobian = ufl.derivative(residual, x) if tangent is None else tangent
+        self._residual, self._tangent = compat.compile_forms(residual, jacobian)
+        blocked = x.function_space.dofmap.index_map_bs > 1
+        self.A = compat.create_matrix(self._tangent, self._solver_recipe.matrix if blocked else "aij")
+        self.b = compat.create_vector(x.function_space)
+        self._dx = self.b.duplicate()
+        self.constrained = compat.constrained_dofs(self.bcs)
+        self._solver = PreparedSolver(self._solver_recipe, self.A)
+        self.iterations = 0
+
+    def apply_boundary_values(self) -> None:
+        """Write the prescribed values into the unknown."""
+        compat.apply_values(self.x, self.bcs)
+
+    def assemble_residual(self, load: Callable[[FloatArray], None] | None = None) -> float:
+        """Assemble the residual.
+
+        Args:
+            load: adds further contributions to this rank's array (owned dofs, then ghosts).
+
+        Returns:
+            Its Euclidean norm.
+        """
+        compat.assemble_vector(self.b, self._residual)
+        with self.b.localForm() as local:
+            if load is not None:
+                load(local.array_w)
+        self.b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        owned = self.constrained[self.constrained < self.b.getLocalSize()]
+        self.b.array_w[owned] = 0.0
+        return float(self.b.norm())
+
+    def assemble_tangent(self, add: Callable[[PETSc.Mat], None] | None = None) -> None:
+        """Assemble the tangent.
+
+        Args:
+            add: adds further contributions by local indices; must leave rows and columns of constrained dofs alone.
+        """
+        compat.assemble_matrix(self.A, self._tangent, self.bcs)
+        if add is not None:
+            self.A.assemble()
+            add(self.A)
+        self.A.assemble()
+
+    def solve(self) -> PETSc.Vec:
+        """Solve for the increment.
+
+        Returns:
+            The increment, valid until the next solve.
+
+        Raises:
+            SolveError: the linear solver failed.
+        """
+        self.iterations = self._solver.solve(self.b, self._dx)
+        return self._dx
+
+    def subtract(self, increment: PETSc.Vec) -> None:
+        """Subtract an increment from the unknown, ghosts included."""
+        self.x.x.array[: increment.getLocalSize()] -= increment.array_r
+        self.x.x.scatter_forward()
+
+
+class SplineSystem:
+    """A residual on a spline, extracted: ``M^T A M``, ``M^T b``, with zero rows and columns at the zero dofs.
+
+    Args:
+        spline: the extracted spline.
+        residual: UFL residual in ``spline.V``.
+        tangent: UFL tangent; the unknown is what the caller differentiated by.
+        solver: linear solver recipe.
+        zero_dofs: spline coefficients whose increments vanish; None: those of the spline.
+
+    Attributes:
+        b: extracted residual.
+        iterations: linear iterations of the last solve.
+    """
+
+    def __init__(
+        self,
+        spline: "ExtractedSpline",
+        residual: ufl.Form,
+        tangent: ufl.Form,
+        solver: LinearSolver | None = None,
+        *,
+        unknown: fem.Function | None = None,
+        zero_dofs: ArrayLike | None = None,
+    ) -> None:
+        self.spline = spline
+        self.unknown = unknown
+        self._residual, self._tangent = compat.compile_forms(residual, tangent)
+        self._A_fe = compat.create_matrix(self._tangent, "aij")
+        self._b_fe = compat.create_vector(spline.V)
+        self._diagonal = self._b_fe.duplicate()
+        self._dx_fe = self._b_fe.duplicate()
+        self.b = spline.M.createVecRight()
+        self._dx = self.b.duplicate()
+        first, last = self.b.getOwnershipRange()
+        fixed = np.asarray(spline.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
+        self._zero = fixed[(fixed >= first) & (fixed < last)]
+        self._zero_local = self._zero - first
+        self._A: PETSc.Mat | None = None
+        self._recipe = direct() if solver is None else solver
+        self._solver: PreparedSolver | None = None
+        self.iterations = 0
+
+    @property
+    def A(self) -> PETSc.Mat:
+        """Extracted tangent of the last :meth:`assemble_tangent`."""
+        if self._A is None:
+            raise SolveError("no tangent has been assembled yet")
+        return self._A
+
+    def assemble_residual(self, load: FloatArray | None = None) -> float:
+        """Assemble and extract the residual.
+
+        Args:
+            load: nodal values to add to the finite element residual, shape (nodes, nsd).
+
+        Returns:
+            Euclidean norm of the extracted residual.
+        """
+        compat.assemble_vector(self._b_fe, self._residual)
+        if load is not None:
+            with self._b_fe.localForm() as local:
+                local.array_w += load.ravel()
+        self._b_fe.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        self.spline.M.multTranspose(self._b_fe, self.b)
+        self.b.array_w[self._zero_local] = 0.0
+        return float(self.b.norm())
+
+    def extract(self, nodal: FloatArray) -> FloatArray:
+        """``M^T`` of nodal values, zero at the zero dofs.
+
+        Args:
+            nodal: shape (nodes, nsd), this rank's share.
+
+        Returns:
+            This rank's spline values.
+        """
+        self._diagonal.array_w[:] = nodal.ravel()
+        result = self.spline.M.createVecRight()
+        self.spline.M.multTranspose(self._diagonal, result)
+        result.array_w[self._zero_local] = 0.0
+        return result.array_r.copy()
+
+    def assemble_tangent(self, diagonal: FloatArray | None = None) -> None:
+        """Assemble, extract and constrain the tangent; the symbolic product is made once.
+
+        Args:
+            diagonal: values to add to the diagonal of the finite element matrix, shape (nodes, nsd).
+        """
+        compat.assemble_matrix(self._A_fe, self._tangent)
+        self._A_fe.assemble()
+        if diagonal is not None:
+            self._diagonal.array_w[:] = diagonal.ravel()
+            self._A_fe.setDiagonal(self._diagonal, PETSc.InsertMode.ADD_VALUES)
+        if self._A is None:
+            self._A = self._A_fe.PtAP(self.spline.M)
+            self._A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            self._solver = PreparedSolver(self._recipe, self._A)
+        else:
+            self._A_fe.PtAP(self.spline.M, result=self._A)
+        self._A.zeroRowsColumns(self._zero, diag=1.0)
+
+    def solve(self) -> PETSc.Vec:
+        """Solve for the increment of the spline coefficients.
+
+        Returns:
+            The increment, valid until the next solve.
+
+        Raises:
+            SolveError: no tangent yet, or the linear solver failed.
+        """
+        if self._solver is None:
+            raise SolveError("no tangent has been assembled yet")
+        self.iterations = self._solver.solve(self.b, self._dx)
+        return self._dx
+
+    def add(self, u: fem.Function, increment: PETSc.Vec, factor: float = 1.0) -> None:
+        """Add ``factor * M increment`` to a function of ``spline.V``, ghosts included."""
+        self.spline.M.mult(increment, self._dx_fe)
+        u.x.array[: self._dx_fe.getLocalSize()] += factor * self._dx_fe.array_r
+        u.x.scatter_forward()
+
+    def subtract(self, increment: PETSc.Vec) -> None:
+        """Subtract an increment from the unknown."""
+        if self.unknown is None:
+            raise SolveError("the system was made without its unknown")
+        self.add(self.unknown, increment, -1.0)
+
+
+@dataclass(frozen=True)
+class NewtonReport:
+    """What a Newton solve did.
+
+    Attributes:
+        norms: residual norms, from the initial one to the accepted one.
+        linear_iterations: iterations of the linear solver, one entry per step.
+    """
+
+    norms: tuple[float, ...]
+    linear_iterations: tuple[int, ...]
+
+
+def newton(
+    system: System,
+    *,
+    rtol: float = 1e-5,
+    atol: float = 0.0,
+    max_iterations: int = 20,
+    reference: float | None = None,
+) -> NewtonReport:
+    """Newton's method; the residual is tested before every solve.
+
+    Args:
+        system: the problem.
+        rtol: accepted residual relative to ``reference``.
+        atol: accepted residual, in the residual's unit.
+        max_iterations: solves after which the iteration has failed.
+        reference: norm that ``rtol`` refers to; None: the initial residual.
+
+    Returns:
+        The report.
+
+    Raises:
+        SolveError: a residual is not finite, a linear solve failed or the limit was reached; the state is then the
+            last iterate.
+    """
+    norms: list[float] = []
+    linear: list[int] = []
+    for iteration in range(max_iterations + 1):
+        norm = system.assemble_residual()
+        if not math.isfinite(norm):
+            raise SolveError(f"Newton iteration {iteration}: the residual is not finite")
+        norms.append(norm)
+        if norm <= max(rtol * (norms[0] if reference is None else reference), atol):
+            return NewtonReport(tuple(norms), tuple(linear))
+        if iteration < max_iterations:
+            system.assemble_tangent()
+            system.subtract(system.solve())
+            linear.append(int(getattr(system, "iterations", 1)))
+    raise SolveError(f"Newton did not converge in {max_iterations} iterations: residuals {norms}")
