@@ -17,7 +17,7 @@ from coudalfish import exchange
 from coudalfish.monitors import Monitors, measure
 from coudalfish.options import CouplingOptions, PenaltyRule
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
-from coudalfish.trace import Location, PointLocator, Trace
+from coudalfish.trace import Location, PointLocator, trace_matrix
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.solve import SolveError
@@ -128,7 +128,6 @@ class CouDALFISh:
         self.lam = np.broadcast_to(np.asarray(multiplier, dtype=np.float64), (len(points),)).copy()
         checks.array("multiplier", self.lam, (len(points),))
         self._locator = PointLocator(fluid.mesh)
-        self._trace = Trace(fluid.velocity_space)
         self._warned: set[str] = set()
 
     def _check(self) -> None:
@@ -218,7 +217,7 @@ class _Step:
         self.linear_iterations = 0
         self.spacing = 0.0
         self.inactive = 0
-        self.scales = (0.0, 0.0)
+        self.floors: tuple[float, float] | None = None
 
     # -- set-up -------------------------------------------------------------------------------------------------------
 
@@ -245,7 +244,7 @@ class _Step:
         self.active = location.active
         self.inactive = int((~location.active).sum())
         self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
-        self.B = self.c._trace.matrix(location)
+        self.trace = trace_matrix(self.fluid.velocity_space, location)
         if self.fluid.band is not None:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
@@ -265,7 +264,7 @@ class _Step:
     def _iterate(self) -> None:
         before = self.options.stopping == "before_solve"
         for k in range(self.options.max_passes + 1):
-            self.u, self.y_dot = self.fluid.velocity_at(self.B), self.shell.velocity()
+            self.u, self.y_dot = self.fluid.velocity_at(self.trace), self.shell.velocity()
             if self.options.normal == "iterate":
                 self.n = self.shell.normals()
             norm_f = self._fluid_residual()
@@ -274,12 +273,12 @@ class _Step:
             if k == self.options.max_passes:
                 break
             self._solve_fluid()
-            self.u = self.fluid.velocity_at(self.B)
+            self.u = self.fluid.velocity_at(self.trace)
             norm_s = self._shell_residual()
             self._solve_shell()
             self.passes = k + 1
             if not before and self._accepted(norm_f, norm_s):
-                self.u, self.y_dot = self.fluid.velocity_at(self.B), self.shell.velocity()
+                self.u, self.y_dot = self.fluid.velocity_at(self.trace), self.shell.velocity()
                 if self.options.normal == "iterate":
                     self.n = self.shell.normals()
                 return
@@ -297,7 +296,7 @@ class _Step:
 
     def _fluid_residual(self) -> float:
         self.block = "fluid"
-        return self.fluid.assemble_residual(self.B, self.forces, self.beta)
+        return self.fluid.assemble_residual(self.trace, self.forces, self.beta)
 
     def _shell_residual(self) -> float:
         self.block = "shell"
@@ -316,8 +315,8 @@ class _Step:
         if self._assemble_tangents():
             consistent = self.options.fluid_tangent == "consistent"
             tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
-            part = tangent(self.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
-            self.fluid.assemble_tangent(None if consistent else part, part if consistent else None)
+            part = tangent(self.trace.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
+            self.fluid.assemble_tangent(self.trace, part)
         self.linear_iterations += self.fluid.solve()
 
     def _solve_shell(self) -> None:
@@ -337,17 +336,37 @@ class _Step:
             if not math.isfinite(norm):
                 raise _Rejected(block, f"the residual of pass {self.passes} is not finite")
         self.residuals.append((norm_f, norm_s))
-        if self.options.block_atol > 0.0 and self.passes <= 1:
-            magnitude = self.W * (np.abs(self.c.lam) + self.beta * (np.abs(self.u) + np.abs(self.y_dot)).sum(axis=1))
-            self.scales = (self.fluid.force_scale(self.B, magnitude), self.shell.force_scale(magnitude))
+        limits = self._limits() if self.options.stopping == "before_solve" else self.residuals[0]
+        rtol = self.options.block_rtol
         small = [
-            norm <= max(self.options.block_rtol * first, self.options.block_atol * scale)
-            for norm, first, scale in zip((norm_f, norm_s), self.residuals[0], self.scales, strict=True)
+            norm <= max(rtol * limit, floor)
+            for norm, limit, floor in zip((norm_f, norm_s), limits, self._floors(), strict=True)
         ]
         for block, i in (("fluid", 0), ("shell", 1)):
             if not small[i] and self._ratio(i) > GROWTH_LIMIT:
                 raise _Rejected(block, f"the residual grew {self._ratio(i):.3g} times in {self.passes} passes")
         return all(small)
+
+    def _limits(self) -> tuple[float, float]:
+        """What the relative tolerance refers to: first residual or present coupling forces, whichever is smaller.
+
+        The first residual alone would be dominated by data that change in time, such as walls with a strong penalty.
+        """
+        forces = self.forces
+        coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
+        return tuple(  # type: ignore[return-value]
+            min(first, force) if force else first for first, force in zip(self.residuals[0], coupling, strict=True)
+        )
+
+    def _floors(self) -> tuple[float, float]:
+        """Absolute tolerances: a fraction of the forces at work, so that a change of units changes nothing."""
+        if self.floors is None or self.passes == 1:
+            part = np.abs(self.c.lam)[:, None] * np.abs(self.n) + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
+            magnitude = self.W[:, None] * part
+            atol = self.options.block_atol
+            scale_f = self.fluid.momentum_scale() + self.fluid.coupling_norm(self.trace, magnitude) if atol else 0.0
+            self.floors = atol * scale_f, atol * self.shell.coupling_norm(magnitude)
+        return self.floors
 
     # -- end ----------------------------------------------------------------------------------------------------------
 
@@ -359,7 +378,7 @@ class _Step:
         )
         if not np.isfinite(lam).all():
             raise _Rejected("coupling", "the new multiplier is not finite")
-        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.B.T @ forces).sum(axis=0), op=MPI.SUM))
+        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.B.T @ forces).sum(axis=0), op=MPI.SUM))
         monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
         self.c.lam = lam
         report = self.report(monitors)
@@ -404,4 +423,6 @@ class _Step:
         name, (value, limit) = max(numbers.items(), key=lambda item: item[1][0] / item[1][1])
         if value > limit:
             return f"{name} = {value:.3g}, advised at most {limit:g}"
-        return f"penalty beta = {self.beta:.3g}; all other numbers are within limits, {name} = {value:.3g} comes nearest"
+        return (
+            f"penalty beta = {self.beta:.3g}; all other numbers are within limits, {name} = {value:.3g} comes nearest"
+        )

@@ -31,10 +31,10 @@ def point_forces(
     return W[:, None] * (penalty * (u - y_dot) + lam[:, None] * n)
 
 
-def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> FloatArray:
-    """Row sums of the penalty tangent of the fluid, ``factor B^T (beta W)``.
+def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:
+    """Row sums of the penalty tangent of the fluid as a diagonal matrix, ``factor diag(B^T beta W)``.
 
-    Since ``diag(B^T beta W) - B^T beta W B`` is positive semidefinite, this is a safe, over-damped replacement.
+    Since ``diag(B^T beta W) - B^T diag(beta W) B`` is positive semidefinite, this is a safe, over-damped replacement.
 
     Args:
         B: trace matrix, shape (points, nodes).
@@ -43,13 +43,13 @@ def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: f
         factor: derivative of u_alpha with respect to the unknown.
 
     Returns:
-        Diagonal for every velocity component, shape (nodes,).
+        Matrix for one velocity component, shape (nodes, nodes).
     """
-    return factor * penalty * (B.T @ W)
+    return sp.diags(factor * penalty * (B.T @ W), format="csr")
 
 
 def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:
-    """Penalty tangent of the fluid for one velocity component, ``factor B^T diag(beta W) B``.
+    """Penalty tangent of the fluid, ``factor B^T diag(beta W) B``.
 
     It couples only nodes of one cell, so a fluid matrix already has its non-zeros.
 
@@ -60,7 +60,7 @@ def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, facto
         factor: derivative of u_alpha with respect to the unknown.
 
     Returns:
-        Matrix of shape (nodes, nodes).
+        Matrix for one velocity component, shape (nodes, nodes).
     """
     return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
 

@@ -48,7 +48,8 @@ class CouplingOptions:
         normal: shell normals from the "predictor" of the step or from the present "iterate".
         stopping: "before_solve" tests both residuals before a pass solves; "published" tests after both solves.
         tangent_update: assemble and factor tangents once per "step" or in every "pass".
-        block_rtol: accepted residual of each block relative to its first one in the step.
+        block_rtol: accepted residual of each block relative to its first one in the step or, unless the stopping is
+            "published", to the coupling forces in it where these are smaller.
         block_atol: accepted residual of each block relative to the size of the forces in it, which is independent of
             units.
         max_passes: passes after which the step has failed.

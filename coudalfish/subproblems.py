@@ -11,6 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from coudalfish.band import SurfaceBand
+from coudalfish.trace import TraceMatrix
 from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
@@ -76,11 +77,10 @@ class FluidSubproblem:
         self.mesh_size = self._median_size()
 
         self.system = FiniteElementSystem(residual_f, timeInt_f.x, bcs, tangent=tangent, solver=solver)
-        self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
+        self._free = ~np.isin(self.velocity_dofs, self.system.constrained)
         owned = self.system.b.getLocalSize()
-        self._velocity_owned = np.zeros(owned, dtype=bool)
-        self._velocity_owned[self.velocity_dofs[self.velocity_dofs < owned]] = True
-        self._diagonal = self.system.b.duplicate()
+        self._is_velocity = np.zeros(owned)
+        self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
         self._product = self.system.b.duplicate()
         self._has_tangent = False
 
@@ -89,93 +89,74 @@ class FluidSubproblem:
         sizes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) ** (1.0 / self.mesh.geometry.dim)
         return float(np.median(np.concatenate(self.comm.allgather(sizes))))
 
-    def velocity_at(self, B: sp.csr_matrix) -> FloatArray:
+    def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""
-        a = self.timeInt.x_factor
-        x, x_old = self.timeInt.x.x.array, self.timeInt.x_old.x.array
-        local = B @ (a * x[self.velocity_dofs] + (1.0 - a) * x_old[self.velocity_dofs])
+        dofs, a = self.velocity_dofs[trace.nodes], self.timeInt.x_factor
+        local = trace.B @ (a * self.timeInt.x.x.array[dofs] + (1.0 - a) * self.timeInt.x_old.x.array[dofs])
         if self.comm.size == 1:
             return local
         total = np.empty_like(local)
         self.comm.Allreduce(local, total, op=MPI.SUM)
         return total
 
-    def assemble_residual(self, B: sp.csr_matrix, forces: FloatArray, impedance: float) -> float:
+    def assemble_residual(self, trace: TraceMatrix, forces: FloatArray, impedance: float) -> float:
         """Assemble the residual with the coupling forces.
 
         Args:
-            B: trace matrix.
+            trace: where the points are.
             forces: fluid on shell at the points, shape (points, d).
             impedance: pressure per velocity that makes continuity rows comparable with momentum rows.
 
         Returns:
             ``sqrt(|R_momentum|^2 + impedance^2 |R_continuity|^2)``; unit: force.
         """
-        nodal = np.where(self.free, B.T @ forces, 0.0)
+        dofs = self.velocity_dofs[trace.nodes]
+        nodal = np.where(self._free[trace.nodes], trace.B.T @ forces, 0.0)
 
         def load(b: FloatArray) -> None:
-            np.add.at(b, self.velocity_dofs, nodal)
+            b[dofs] += nodal
 
         self.system.assemble_residual(load)
         return self.norm(self.system.b, impedance)
 
     def norm(self, vector: PETSc.Vec, impedance: float) -> float:
-        """Norm of a residual-like vector in units of force."""
+        """Norm of a residual-like vector in units of force (collective)."""
         array = vector.array_r
-        momentum = float(np.sum(array[self._velocity_owned] ** 2))
-        continuity = float(np.sum(array[~self._velocity_owned] ** 2))
-        total = self.comm.allreduce(momentum + impedance**2 * continuity, op=MPI.SUM)
-        return float(np.sqrt(total))
+        total, momentum = np.dot(array, array), np.einsum("i,i,i->", array, array, self._is_velocity)
+        square = momentum + impedance**2 * max(total - momentum, 0.0)
+        return float(np.sqrt(self.comm.allreduce(float(square), op=MPI.SUM)))
 
-    def force_scale(self, B: sp.csr_matrix, magnitude: FloatArray) -> float:
-        """Size of the forces in the flow: momentum part of the tangent times the state, and the coupling's share.
+    def coupling_norm(self, trace: TraceMatrix, forces: FloatArray) -> float:
+        """Norm of point forces on the fluid's nodes (collective, but for nodes that ranks share); unit: force."""
+        nodal = trace.B.T @ forces
+        return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 
-        Args:
-            B: trace matrix.
-            magnitude: sum of the absolute coupling forces at the points, shape (points,).
+    def momentum_scale(self) -> float:
+        """Size of the terms that balance in the flow: momentum part of the last tangent times the state; unit: force."""
+        if not self._has_tangent:
+            return 0.0
+        self.system.A.mult(compat.petsc_vector(self.timeInt.x), self._product)
+        return self.norm(self._product, 0.0)
 
-        Returns:
-            Unit: force.
-        """
-        own = 0.0
-        if self._has_tangent:
-            self.system.A.mult(compat.petsc_vector(self.timeInt.x), self._product)
-            own = self.norm(self._product, 0.0)
-        coupling = float(np.sum((B.T @ magnitude) ** 2))
-        return own + float(np.sqrt(self.comm.allreduce(coupling, op=MPI.SUM)))
-
-    def assemble_tangent(self, diagonal: FloatArray | None, matrix: sp.csr_matrix | None) -> None:
+    def assemble_tangent(self, trace: TraceMatrix, penalty_tangent: sp.csr_matrix) -> None:
         """Assemble the tangent with the penalty's part.
 
         Args:
-            diagonal: lumped part for every velocity component, shape (nodes,); None: none.
-            matrix: consistent part for one velocity component, shape (nodes, nodes); None: none.
+            trace: where the points are.
+            penalty_tangent: part of one velocity component, shape (len(trace.nodes), len(trace.nodes)).
         """
 
         def add(A: PETSc.Mat) -> None:
-            if diagonal is not None:
-                with self._diagonal.localForm() as local:
-                    local.set(0.0)
-                    values = np.where(self.free, diagonal[:, None], 0.0)
-                    np.add.at(local.array_w, self.velocity_dofs, values)
-                self._diagonal.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-                A.setDiagonal(self._diagonal, PETSc.InsertMode.ADD_VALUES)
-            if matrix is not None:
-                self._add_matrix(A, matrix)
+            for dofs, free in zip(self.velocity_dofs[trace.nodes].T, self._free[trace.nodes].T, strict=True):
+                mask = sp.diags(free.astype(float))
+                K = penalty_tangent if free.all() else (mask @ penalty_tangent @ mask).tocsr()
+                rows, columns = dofs.astype(PETSc.IntType), dofs[K.indices].astype(PETSc.IntType)
+                A.setValuesLocalIJV(
+                    K.indptr.astype(PETSc.IntType), columns, K.data, PETSc.InsertMode.ADD_VALUES, rowmap=rows
+                )
 
         self.system.assemble_tangent(add)
         self._has_tangent = True
-
-    def _add_matrix(self, A: PETSc.Mat, K: sp.csr_matrix) -> None:
-        for component, dofs in enumerate(self.velocity_dofs.T):
-            mask = sp.diags(self.free[:, component].astype(float))
-            part = (mask @ K @ mask).tocsr()
-            rows = np.flatnonzero(np.diff(part.indptr))
-            indptr = np.concatenate([[0], np.cumsum(np.diff(part.indptr)[rows])]).astype(PETSc.IntType)
-            columns = dofs[part.indices].astype(PETSc.IntType)
-            A.setValuesLocalIJV(
-                indptr, columns, part.data, PETSc.InsertMode.ADD_VALUES, dofs[rows].astype(PETSc.IntType)
-            )
 
     def solve(self) -> int:
         """Solve for the increment and subtract it.
@@ -262,10 +243,9 @@ class ShellSubproblem:
         """
         return self.system.assemble_residual(-forces / self.quadrature.rational[:, None])
 
-    def force_scale(self, magnitude: FloatArray) -> float:
-        """Size of the coupling forces on the spline's functions; unit: force."""
-        nodal = np.repeat((magnitude / self.quadrature.rational)[:, None], self.spline.nsd, axis=1)
-        return float(np.linalg.norm(self.system.extract(nodal)))
+    def coupling_norm(self, forces: FloatArray) -> float:
+        """Norm of point forces on the spline's functions; unit: force."""
+        return float(np.linalg.norm(self.system.extract(forces / self.quadrature.rational[:, None])))
 
     def assemble_tangent(self, W: FloatArray, penalty: float) -> None:
         """Assemble the tangent with the penalty's part, which is diagonal before extraction.

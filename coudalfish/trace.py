@@ -61,7 +61,9 @@ class PointLocator:
         edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)
         volumes = np.linalg.det(edges)
         size = float(np.abs(x).max(initial=0.0))
-        bad = np.flatnonzero(~(np.abs(volumes) > 1e-14 * np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim))
+        bad = np.flatnonzero(
+            ~(np.abs(volumes) > 1e-14 * np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim)
+        )
         if domain.comm.allreduce(len(bad), op=MPI.SUM):
             where = x[bad[0]].mean(axis=0) if len(bad) else "another rank"
             raise ValueError(f"mesh has a cell of zero size near {where}: cells of positive size are required")
@@ -123,35 +125,36 @@ class PointLocator:
         return Location(cells, barycentric, active)
 
 
-class Trace:
-    """Evaluation of a velocity space at located points.
+@dataclass(frozen=True, eq=False)
+class TraceMatrix:
+    """Evaluation of nodal velocities at points, ``u_q = B u[nodes]``, this rank's share.
+
+    Only nodes of cut cells take part, so that the cost follows the number of points and not that of fluid nodes.
+
+    Attributes:
+        B: basis values, one row per point, empty where this rank does not own the point, shape (points, len(nodes)).
+        nodes: local nodes of the velocity space that the columns stand for, sorted.
+    """
+
+    B: sp.csr_matrix
+    nodes: IntArray
+
+
+def trace_matrix(space: fem.FunctionSpace, location: Location) -> TraceMatrix:
+    """Trace matrix of a velocity space at located points.
 
     Args:
         space: scalar Lagrange space of one velocity component.
+        location: from :meth:`PointLocator.locate`.
 
+    Returns:
+        The matrix.
     """
-
-    def __init__(self, space: fem.FunctionSpace) -> None:
-        self._space = space
-        self._dofs = compat.cell_dofs(space)
-        index_map = space.dofmap.index_map
-        self._columns = index_map.size_local + index_map.num_ghosts
-
-    def matrix(self, location: Location) -> sp.csr_matrix:
-        """The trace matrix B.
-
-        Args:
-            location: from :meth:`PointLocator.locate`.
-
-        Returns:
-            Matrix of shape (points, local nodes of the space); row q holds the basis values at point q, and is empty
-            where this rank does not own the point.
-        """
-        mine = np.flatnonzero(location.owned)
-        values = compat.tabulate(self._space, location.barycentric[mine, 1:])
-        counts = np.zeros(len(location.cells) + 1, dtype=np.int32)
-        counts[mine + 1] = values.shape[1]
-        columns = self._dofs[location.cells[mine]]
-        return sp.csr_matrix(
-            (values.ravel(), columns.ravel(), np.cumsum(counts)), shape=(len(location.cells), self._columns)
-        )
+    mine = np.flatnonzero(location.owned)
+    values = compat.tabulate(space, location.barycentric[mine, 1:])
+    counts = np.zeros(len(location.cells) + 1, dtype=np.int32)
+    counts[mine + 1] = values.shape[1]
+    nodes, columns = np.unique(compat.cell_dofs(space)[location.cells[mine]], return_inverse=True)
+    shape = (len(location.cells), len(nodes))
+    B = sp.csr_matrix((values.ravel(), columns.ravel().astype(np.int32), np.cumsum(counts)), shape=shape)
+    return TraceMatrix(B, nodes)

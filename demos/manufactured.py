@@ -132,7 +132,18 @@ def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: Any) -> FluidSu
     (v, p), (v_t, _), (z, q) = split(time.x_alpha), split(time.xdot_alpha), split(ufl.TestFunction(V))
     exact = exact_flow(x, time.t_alpha, c)
     residual = interior_residual(
-        v, p, z, q, domain, rho=c.rho, mu=c.mu, v_t=v_t, f=exact.f, dt=time.dt, scale_m=band.scale_m, scale_c=band.scale_c
+        v,
+        p,
+        z,
+        q,
+        domain,
+        rho=c.rho,
+        mu=c.mu,
+        v_t=v_t,
+        f=exact.f,
+        dt=time.dt,
+        scale_m=band.scale_m,
+        scale_c=band.scale_c,
     )
     ds = ufl.ds(domain=domain, metadata={"quadrature_degree": 2})
     residual += weak_dirichlet(v, p, z, q, exact.u, domain, ds, rho=c.rho, mu=c.mu)
@@ -240,7 +251,14 @@ def main(
         pictures.close(data, fsi)
 
     passes = [report.passes for report in reports]
-    inputs = {"dim": dim, "level": level, "preset": preset, "dt_factor": factor, "initial_velocity": start, "options": options}
+    inputs = {
+        "dim": dim,
+        "level": level,
+        "preset": preset,
+        "dt_factor": factor,
+        "initial_velocity": start,
+        "options": options,
+    }
     measured = errors(fsi, data, data.T, 2)
     summary = script.write_summary(
         out,
@@ -267,8 +285,12 @@ def main(
     )
     if MPI.COMM_WORLD.rank == 0:
         published = PUBLISHED_CODE.get(level, {})
-        rows = [(name, value, summary["errors_true"][name], published.get(name, "-")) for name, value in measured.items()]
-        print(f"level {level}, preset {preset}, {steps} steps, {watch.cpu_s:.3g} CPU s, {np.mean(passes):.2f} passes a step")
+        rows = [
+            (name, value, summary["errors_true"][name], published.get(name, "-")) for name, value in measured.items()
+        ]
+        print(
+            f"level {level}, preset {preset}, {steps} steps, {watch.cpu_s:.3g} CPU s, {np.mean(passes):.2f} passes a step"
+        )
         print(script.table(["norm", "error (degree 2)", "error (degree 8)", f"published code (doi:{DOI})"], rows))
     return summary
 
@@ -325,7 +347,9 @@ def draw(path: Path, data: Data, fsi: CouDALFISh) -> None:
     triangles = Triangulation(*corners.T, index.reshape(-1, 3))
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    shade = left.tripcolor(triangles, nodal[:, 2], shading="gouraud", cmap="RdBu_r", vmin=-1.5 * data.DP, vmax=0.5 * data.DP)
+    shade = left.tripcolor(
+        triangles, nodal[:, 2], shading="gouraud", cmap="RdBu_r", vmin=-1.5 * data.DP, vmax=0.5 * data.DP
+    )
     figure.colorbar(shade, ax=left, label="pressure")
     g = np.linspace(0.0, data.L, 60)
     grid = np.meshgrid(g, g)

@@ -46,7 +46,9 @@ def midsurface(spline: ExtractedSpline, y: Any = None) -> Midsurface:
     """
     m, nsd = spline.patch.dim, spline.nsd
     if (m, nsd) not in ((1, 2), (2, 3)):
-        raise ValueError(f"spline has parametric dimension {m} in {nsd}-dimensional space: (1, 2) or (2, 3) is required")
+        raise ValueError(
+            f"spline has parametric dimension {m} in {nsd}-dimensional space: (1, 2) or (2, 3) is required"
+        )
     x = spline.F if y is None else spline.F + y
     a = spline.parametric_grad(x)
     if m == 1:

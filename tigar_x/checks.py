@@ -66,7 +66,9 @@ def whole(name: str, value: Any, low: int) -> int:
 def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A finite float array of the given shape (None: any length), else ValueError."""
     result = np.asarray(value, dtype=np.float64)
-    fits = result.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, result.shape, strict=True))
+    fits = result.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, result.shape, strict=True)
+    )
     if not fits:
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise ValueError(f"{name} has shape {result.shape}: shape {wanted} is required")

@@ -121,9 +121,7 @@ class Patch:
         rows = np.arange(layers) if end == 0 else np.arange(n - layers, n)
         return np.sort(np.take(index, rows, axis=direction).ravel()).astype(np.int32)
 
-    def side_dofs(
-        self, direction: int, end: int, layers: int = 1, components: Sequence[int] | None = None
-    ) -> IntArray:
+    def side_dofs(self, direction: int, end: int, layers: int = 1, components: Sequence[int] | None = None) -> IntArray:
         """Degrees of freedom of a vector field next to a side.
 
         Args:

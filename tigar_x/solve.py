@@ -126,8 +126,7 @@ class PreparedSolver:
         self._kept_iterations: int | None = None
         self._fallback: PreparedSolver | None = None
 
-    @staticmethod
-    def _create(recipe: LinearSolver, A: PETSc.Mat) -> PETSc.KSP:
+    def _create(self, recipe: LinearSolver, A: PETSc.Mat) -> PETSc.KSP:
         ksp = PETSc.KSP().create(A.comm)
         ksp.setOperators(A)
         prefix = f"tigar_x_{next(_prefixes)}_"
@@ -141,7 +140,14 @@ class PreparedSolver:
         for key, value in chosen.items():
             options[prefix + key] = value
         ksp.setFromOptions()
+        self._pending_options = [prefix + key for key in chosen]
         return ksp
+
+    def _clear_options(self) -> None:
+        """PETSc's table of options is finite, and subdomain solvers read theirs in the first solve."""
+        options = PETSc.Options()
+        while self._pending_options:
+            options.delValue(self._pending_options.pop())
 
     def _attempt(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         try:
@@ -149,6 +155,8 @@ class PreparedSolver:
         except PETSc.Error as error:
             log.warning("%s failed: %s", self.recipe.name, error)
             return False
+        finally:
+            self._clear_options()
         return self._ksp.getConvergedReason() > 0 and math.isfinite(x.norm())
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> int:

@@ -294,7 +294,9 @@ class TimeIntegrator:
         highest = self.xdot_old if self.scheme.order == 1 else self.xddot_old
         zero = ufl.as_ufl(0.0)
         levels = {self._c["alpha_f"]: zero, self._c["alpha_m"]: zero}
-        return ufl.replace(residual, {self.x: state, highest: unknown, self.t_alpha: self.t - self.dt, **levels}), unknown
+        return ufl.replace(
+            residual, {self.x: state, highest: unknown, self.t_alpha: self.t - self.dt, **levels}
+        ), unknown
 
     def start(self, unknown: fem.Function) -> None:
         """Take the solution of :meth:`initial_form` as the initial rate and algebraic components."""

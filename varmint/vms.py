@@ -184,7 +184,9 @@ def interior_residual(
     if dt is not None:
         checks.parameter("dt", dt, checks.positive)
 
-    dx = ufl.dx(domain=domain, metadata={"quadrature_degree": 2 * k if quadrature_degree is None else quadrature_degree})
+    dx = ufl.dx(
+        domain=domain, metadata={"quadrature_degree": 2 * k if quadrature_degree is None else quadrature_degree}
+    )
     D = material_acceleration(v, v_t=v_t, f=f)
     r_M = momentum_residual(v, p, rho=rho, mu=mu, linear_simplex=is_linear_simplex(domain, k), v_t=v_t, f=f)
     constant = (3.0 if k == 1 else 6.0 * k**4) if C_I is None else C_I
