@@ -77,7 +77,7 @@ class StepError(RuntimeError):
         self.report = report
 
 
-class _Rejected(Exception):
+class _RejectedStepError(Exception):
     """Ends an attempted step."""
 
     def __init__(self, block: str, reason: str) -> None:
@@ -157,7 +157,7 @@ class CouDALFISh:
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
-    def takeStep(self) -> StepReport:  # noqa: N802  (the paper's name)
+    def takeStep(self) -> StepReport:
         """Advance fluid and shell by one time step.
 
         Returns:
@@ -170,8 +170,8 @@ class CouDALFISh:
         step = _Step(self)
         try:
             report = step.run()
-        except (_Rejected, SolveError) as error:
-            block = error.block if isinstance(error, _Rejected) else step.block
+        except (_RejectedStepError, SolveError) as error:
+            block = error.block if isinstance(error, _RejectedStepError) else step.block
             suspect, report = step.suspect(), step.report(None)
             restore()
             raise StepError(block, str(error), suspect, report) from error
@@ -239,7 +239,7 @@ class _Step:
         """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
         x = self.shell.positions()
         if not np.isfinite(x).all():
-            raise _Rejected("shell", "the predicted positions are not finite")
+            raise _RejectedStepError("shell", "the predicted positions are not finite")
         location: Location = self.c._locator.locate(x)
         self.active = location.active
         self.inactive = int((~location.active).sum())
@@ -283,7 +283,7 @@ class _Step:
                     self.n = self.shell.normals()
                 return
         slower = int(np.argmax([self._ratio(i) for i in (0, 1)]))
-        raise _Rejected(
+        raise _RejectedStepError(
             ("fluid", "shell")[slower],
             f"no convergence in {self.options.max_passes} passes (residuals relative to the first: "
             f"fluid {self._ratio(0):.3g}, shell {self._ratio(1):.3g}, required {self.options.block_rtol:g})",
@@ -317,7 +317,7 @@ class _Step:
             tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
             part = tangent(self.trace.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
             self.fluid.assemble_tangent(self.trace, part)
-        self.linear_iterations += self.fluid.solve()
+        self.linear_iterations += self.fluid.solve(first=self.passes == 0)
 
     def _solve_shell(self) -> None:
         self.block = "shell"
@@ -334,7 +334,7 @@ class _Step:
         self.block = "coupling"
         for block, norm in (("fluid", norm_f), ("shell", norm_s)):
             if not math.isfinite(norm):
-                raise _Rejected(block, f"the residual of pass {self.passes} is not finite")
+                raise _RejectedStepError(block, f"the residual of pass {self.passes} is not finite")
         self.residuals.append((norm_f, norm_s))
         limits = self._limits() if self.options.stopping == "before_solve" else self.residuals[0]
         rtol = self.options.block_rtol
@@ -344,7 +344,7 @@ class _Step:
         ]
         for block, i in (("fluid", 0), ("shell", 1)):
             if not small[i] and self._ratio(i) > GROWTH_LIMIT:
-                raise _Rejected(block, f"the residual grew {self._ratio(i):.3g} times in {self.passes} passes")
+                raise _RejectedStepError(block, f"the residual grew {self._ratio(i):.3g} times in {self.passes} passes")
         return all(small)
 
     def _limits(self) -> tuple[float, float]:
@@ -377,7 +377,7 @@ class _Step:
             self.c.lam, self.u, self.y_dot, self.n, self.active, penalty=self.beta, relaxation=self.options.relaxation
         )
         if not np.isfinite(lam).all():
-            raise _Rejected("coupling", "the new multiplier is not finite")
+            raise _RejectedStepError("coupling", "the new multiplier is not finite")
         on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.B.T @ forces).sum(axis=0), op=MPI.SUM))
         monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
         self.c.lam = lam

@@ -58,7 +58,7 @@ class CouplingOptions:
         ValueError: an option is out of range.
     """
 
-    penalty: float | PenaltyRule = PenaltyRule(4.0, 0.5)  # noqa: RUF009  (frozen)
+    penalty: float | PenaltyRule = PenaltyRule(4.0, 0.5)
     relaxation: float = 0.0
     scale_m: float = 1e-3
     scale_c: float = 0.1

@@ -83,6 +83,7 @@ class FluidSubproblem:
         self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
         self._product = self.system.b.duplicate()
         self._has_tangent = False
+        self._first_norm = 0.0
 
     def _median_size(self) -> float:
         x = compat.cell_vertices(self.mesh)[: compat.owned_cells(self.mesh)]
@@ -132,7 +133,7 @@ class FluidSubproblem:
         return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 
     def momentum_scale(self) -> float:
-        """Size of the terms that balance in the flow: momentum part of the last tangent times the state; unit: force."""
+        """Size of the terms that balance in the flow, the last tangent times the state; unit: force."""
         if not self._has_tangent:
             return 0.0
         self.system.A.mult(compat.petsc_vector(self.timeInt.x), self._product)
@@ -158,8 +159,11 @@ class FluidSubproblem:
         self.system.assemble_tangent(add)
         self._has_tangent = True
 
-    def solve(self) -> int:
+    def solve(self, *, first: bool) -> int:
         """Solve for the increment and subtract it.
+
+        Args:
+            first: whether this is the step's first solve; later ones need not be more accurate than that one.
 
         Returns:
             Linear iterations.
@@ -167,7 +171,9 @@ class FluidSubproblem:
         Raises:
             SolveError: the linear solver failed.
         """
-        self.system.subtract(self.system.solve())
+        if first:
+            self._first_norm = float(self.system.b.norm())
+        self.system.subtract(self.system.solve(self._first_norm))
         return self.system.iterations
 
     def speed(self) -> float:

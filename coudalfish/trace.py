@@ -77,7 +77,7 @@ class PointLocator:
         return np.column_stack([1.0 - xi.sum(axis=1), xi])
 
     def _search(self, x: FloatArray) -> IntArray:
-        """Cells of points by the tree; -1 where this rank has none. Ties go to the cell that holds the point deepest."""
+        """Cells of points by the tree, -1 where this rank has none; ties go to the cell that holds it deepest."""
         found = np.full(len(x), -1, dtype=np.int32)
         if self._tree is None or not len(x):
             return found

@@ -289,7 +289,7 @@ def main(
             (name, value, summary["errors_true"][name], published.get(name, "-")) for name, value in measured.items()
         ]
         print(
-            f"level {level}, preset {preset}, {steps} steps, {watch.cpu_s:.3g} CPU s, {np.mean(passes):.2f} passes a step"
+            f"level {level}, preset {preset}, {steps} steps, {watch.cpu_s:.3g} CPU s, {np.mean(passes):.2f} passes each"
         )
         print(script.table(["norm", "error (degree 2)", "error (degree 8)", f"published code (doi:{DOI})"], rows))
     return summary

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
 from tigar_x import checks
@@ -66,7 +66,7 @@ class BSplineBasis:
         object.__setattr__(self, "knots", knots)
 
     @staticmethod
-    def _group(knots: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _group(knots: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         new = np.concatenate([[True], np.diff(knots) > SAME_KNOT * (knots[-1] - knots[0])])
         return knots[new], np.diff(np.append(np.flatnonzero(new), len(knots)))
 

@@ -54,7 +54,7 @@ def direct(package: str = "mumps") -> LinearSolver:
     """Sparse LU factorisation.
 
     Args:
-        package: PETSc factorisation package, such as "mumps" (any number of ranks) or "petsc" (one rank, small systems).
+        package: PETSc factorisation package, "mumps" (any number of ranks) or "petsc" (one rank, small systems).
 
     Returns:
         The recipe.
@@ -67,7 +67,7 @@ def direct(package: str = "mumps") -> LinearSolver:
 def gmres_ilu(
     levels: int = 1,
     *,
-    rtol: float = 1e-3,
+    rtol: float = 1e-8,
     max_iterations: int = 200,
     overlap: int = 1,
     rebuild_growth: float | None = None,
@@ -91,7 +91,7 @@ def gmres_ilu(
     Raises:
         ValueError: a number is out of range.
     """
-    ilu = {
+    ilu: dict[str, str | int] = {
         "pc_type": "ilu",
         "pc_factor_levels": checks.whole("levels", levels, 0),
         "pc_factor_mat_ordering_type": "rcm",
@@ -123,6 +123,7 @@ class PreparedSolver:
         self.recipe = recipe
         self._A = A
         self._ksp = self._create(recipe, A)
+        self._direct = "ksp_rtol" not in recipe.options
         self._kept_iterations: int | None = None
         self._fallback: PreparedSolver | None = None
 
@@ -159,12 +160,13 @@ class PreparedSolver:
             self._clear_options()
         return self._ksp.getConvergedReason() > 0 and math.isfinite(x.norm())
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.
 
         Args:
             b: right-hand side, finite.
             x: overwritten by the solution.
+            reference: norm that the recipe's relative tolerance refers to; None: that of ``b``.
 
         Returns:
             Number of iterations (1 for a direct solver).
@@ -172,6 +174,8 @@ class PreparedSolver:
         Raises:
             SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
         """
+        if reference is not None and not self._direct:
+            self._ksp.setTolerances(rtol=0.0, atol=float(self.recipe.options["ksp_rtol"]) * reference)
         pc = self._ksp.getPC()
         keep = self.recipe.rebuild_growth is not None and self._kept_iterations is not None
         pc.setReusePreconditioner(keep)
@@ -181,7 +185,7 @@ class PreparedSolver:
         if keep and growth is not None and (not solved or iterations > growth * (self._kept_iterations or 0) + 2):
             self._kept_iterations = None
             if not solved:
-                return self.solve(b, x)
+                return self.solve(b, x, reference)
         elif not keep:
             self._kept_iterations = iterations
         if solved:
@@ -283,8 +287,11 @@ class FiniteElementSystem:
             add(self.A)
         self.A.assemble()
 
-    def solve(self) -> PETSc.Vec:
+    def solve(self, reference: float | None = None) -> PETSc.Vec:
         """Solve for the increment.
+
+        Args:
+            reference: norm that an iterative solver's relative tolerance refers to; None: that of the residual.
 
         Returns:
             The increment, valid until the next solve.
@@ -292,7 +299,7 @@ class FiniteElementSystem:
         Raises:
             SolveError: the linear solver failed.
         """
-        self.iterations = self._solver.solve(self.b, self._dx)
+        self.iterations = self._solver.solve(self.b, self._dx, reference)
         return self._dx
 
     def subtract(self, increment: PETSc.Vec) -> None:

@@ -293,10 +293,9 @@ class TimeIntegrator:
             state = ufl.as_vector([(unknown if i in self._algebraic else self.x_old)[i] for i in range(size)])
         highest = self.xdot_old if self.scheme.order == 1 else self.xddot_old
         zero = ufl.as_ufl(0.0)
-        levels = {self._c["alpha_f"]: zero, self._c["alpha_m"]: zero}
-        return ufl.replace(
-            residual, {self.x: state, highest: unknown, self.t_alpha: self.t - self.dt, **levels}
-        ), unknown
+        at_t_n: dict[Any, Any] = {self.x: state, highest: unknown, self.t_alpha: self.t - self.dt}
+        at_t_n |= {self._c["alpha_f"]: zero, self._c["alpha_m"]: zero}
+        return ufl.replace(residual, at_t_n), unknown
 
     def start(self, unknown: fem.Function) -> None:
         """Take the solution of :meth:`initial_form` as the initial rate and algebraic components."""

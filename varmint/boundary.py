@@ -45,7 +45,7 @@ def weak_dirichlet(
         rho: density.
         mu: dynamic viscosity.
         symmetric: sign of the adjoint viscous term: +1 (symmetric) or -1.
-        penalty: dimensionless factor P of ``P mu sqrt(n.G n)``; None: 1000 in the symmetric variant, absent in the other.
+        penalty: dimensionless factor P of ``P mu sqrt(n.G n)``; None: 1000 in the symmetric variant, else absent.
 
     Returns:
         Residual form.
