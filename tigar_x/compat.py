@@ -318,7 +318,7 @@ def assemble_vector(b: PETSc.Vec, form: Any) -> None:
 def assemble_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
     """Overwrite ``A`` by the assembled form with unit rows at the dofs of ``bcs``; assembly is not finished."""
     A.zeroEntries()
-    fem.petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]  (dispatches on A)
+    fem.petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
 
 
 def assemble_scalar(form: Any) -> float:
