@@ -360,12 +360,20 @@ class _Step:
 
     def _floors(self) -> tuple[float, float]:
         """Absolute tolerances: a fraction of the forces at work, so that a change of units changes nothing."""
+        if self.options.block_atol == 0.0:
+            return 0.0, 0.0
         if self.floors is None or self.passes == 1:
             part = np.abs(self.c.lam)[:, None] * np.abs(self.n) + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
             magnitude = self.W[:, None] * part
+            scale_f = self.fluid.momentum_scale() + self.fluid.coupling_norm(self.trace, magnitude)
+            scale_s = self.shell.momentum_scale() + self.shell.coupling_norm(magnitude)
             atol = self.options.block_atol
-            scale_f = self.fluid.momentum_scale() + self.fluid.coupling_norm(self.trace, magnitude) if atol else 0.0
-            self.floors = atol * scale_f, atol * self.shell.coupling_norm(magnitude)
+            error = self.shell.rounding()
+            error_f = self.W[:, None] * self.beta * self.shell.timeInt.xdot_factor * error
+            self.floors = (
+                atol * scale_f + self.fluid.coupling_norm(self.trace, error_f),
+                atol * scale_s + self.shell.force_of(error),
+            )
         return self.floors
 
     # -- end ----------------------------------------------------------------------------------------------------------

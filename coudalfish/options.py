@@ -50,18 +50,18 @@ class CouplingOptions:
         tangent_update: assemble and factor tangents once per "step" or in every "pass".
         block_rtol: accepted residual of each block relative to its first one in the step or, unless the stopping is
             "published", to the coupling forces in it where these are smaller.
-        block_atol: accepted residual of each block relative to the size of the forces in it, which is independent of
-            units.
+        block_atol: accepted residual of each block relative to the size of the terms that balance in it, which is
+            independent of units; 0: only the relative test.
         max_passes: passes after which the step has failed.
 
     Raises:
         ValueError: an option is out of range.
     """
 
-    penalty: float | PenaltyRule = PenaltyRule(4.0, 0.5)
+    penalty: float | PenaltyRule = PenaltyRule(2.0, 0.5)
     relaxation: float = 0.0
     scale_m: float = 1e-3
-    scale_c: float = 0.1
+    scale_c: float = 0.02
     fluid_tangent: Literal["lumped", "consistent"] = "lumped"
     normal: Literal["predictor", "iterate"] = "predictor"
     stopping: Literal["before_solve", "published"] = "before_solve"

@@ -21,6 +21,9 @@ from tigar_x.solve import FiniteElementSystem, LinearSolver, SplineSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator
 
+ROUNDING = 1e-14
+"""Rounding error of a residual relative to the terms in it."""
+
 
 class FluidSubproblem:
     """A flow, given by any UFL residual whose unknown has d velocity components and then the pressure.
@@ -248,6 +251,19 @@ class ShellSubproblem:
             Euclidean norm of the extracted residual; unit: force.
         """
         return self.system.assemble_residual(-forces / self.quadrature.rational[:, None])
+
+    def momentum_scale(self) -> float:
+        """Size of the terms that balance in the shell: the last tangent times the motion in this step; unit: force."""
+        return self.system.product_norm(self.timeInt.x.x.array - self.timeInt.x_old.x.array)
+
+    def rounding(self) -> FloatArray:
+        """Rounding error of positions at the points, from the shell's own size, shape (points, d); unit: length."""
+        x = self.quadrature.points + self._physical(self.timeInt.x.x.array)
+        return ROUNDING * (x - x.mean(axis=0))
+
+    def force_of(self, displacement: FloatArray) -> float:
+        """Norm of the last tangent times a displacement of the points, shape (points, d); unit: force."""
+        return self.system.product_norm(displacement * self.quadrature.rational[:, None])
 
     def coupling_norm(self, forces: FloatArray) -> float:
         """Norm of point forces on the spline's functions; unit: force."""

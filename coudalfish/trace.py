@@ -56,6 +56,7 @@ class PointLocator:
             raise ValueError(f"mesh has cells of type {cell}: immersed points need 'triangle' or 'tetrahedron'")
         if domain.topology.index_map(domain.topology.dim).size_global == 0:
             raise ValueError("mesh has no cell: at least one is required")
+        self._mesh = domain  # its communicator lives as long as it does
         self._comm = domain.comm
         x = compat.cell_vertices(domain)[: compat.owned_cells(domain)]
         edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)

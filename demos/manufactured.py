@@ -25,7 +25,7 @@ from mpi4py import MPI
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
-from tigar_x import compat, script, shapes
+from tigar_x import checks, compat, script, shapes
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
 from tigar_x.solve import FiniteElementSystem, direct, gmres_ilu
 from tigar_x.spline import ExtractedSpline
@@ -200,7 +200,7 @@ def main(
     dim: Literal[2] = 2,
     level: int = 2,
     preset: Literal["reference", "default"] = "default",
-    dt_factor: float | None = None,
+    dt_factor: float = 1.0,
     initial_velocity: Literal["projected", "interpolated"] | None = None,
     out: Path = Path("results/manufactured"),
     viz: bool = True,
@@ -211,7 +211,7 @@ def main(
         dim: dimension of space.
         level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
         preset: the published algorithm, or this library's defaults.
-        dt_factor: time step relative to the published one, T/(2 N); default 1 for the reference preset, else 4.
+        dt_factor: time step relative to the published one, T/(2 N).
         initial_velocity: membrane velocity at t = 0, projected as in the published code or interpolated;
             default: projected for the reference preset, else interpolated.
         out: folder of the results.
@@ -220,8 +220,7 @@ def main(
     Returns:
         The summary.
     """
-    data, reference = Data(), preset == "reference"
-    factor = dt_factor if dt_factor is not None else (1.0 if reference else 4.0)
+    data, reference, factor = Data(), preset == "reference", checks.positive("dt_factor", dt_factor)
     start = initial_velocity or ("projected" if reference else "interpolated")
     N = 3 * 2**level
     steps = max(1, round(2 * N / factor))

@@ -52,8 +52,10 @@ def poisson(name: str, value: Any) -> float:
 def parameter(name: str, value: Any, check: Callable[[str, Any], float]) -> None:
     """Check a parameter that is a number or a dolfinx Constant; a UFL expression passes unchecked."""
     number = getattr(value, "value", value)
-    if isinstance(number, numbers.Real | np.ndarray):
+    if isinstance(number, numbers.Real):
         check(name, number)
+    elif isinstance(number, np.ndarray) and number.ndim == 0:
+        check(name, number.item())
 
 
 def whole(name: str, value: Any, low: int) -> int:

@@ -14,11 +14,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import basix
 import dolfinx
 import numpy as np
 import ufl
-from basix import ufl_wrapper
+from basix.ufl_wrapper import convert_ufl_element
 from dolfinx import fem, geometry, mesh
 from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
@@ -118,14 +117,8 @@ def _function_space(domain: mesh.Mesh, element: Any) -> fem.FunctionSpace:
 
 
 def _lagrange_element(cell: str, degree: int, discontinuous: bool) -> Any:
-    element = ufl_wrapper.create_element(
-        "Lagrange" if degree else "DG",
-        cell,
-        degree,
-        lagrange_variant=basix.LagrangeVariant.gll_warped,
-        discontinuous=discontinuous or degree == 0,
-    )
-    return element
+    """UFL element: dolfinx places its nodes at Gauss-Lobatto-Legendre points, and mixed forms know its pullback."""
+    return ufl.FiniteElement("DG" if discontinuous or degree == 0 else "Lagrange", cell, degree)
 
 
 def lagrange_space(domain: mesh.Mesh, degree: int, size: int = 1, *, discontinuous: bool = False) -> fem.FunctionSpace:
@@ -142,7 +135,7 @@ def lagrange_space(domain: mesh.Mesh, degree: int, size: int = 1, *, discontinuo
     """
     element = _lagrange_element(domain.ufl_cell().cellname(), degree, discontinuous)
     if size > 1:
-        element = ufl_wrapper.VectorElement(element, size)
+        element = ufl.VectorElement(element, dim=size)
     return _function_space(domain, element)
 
 
@@ -160,8 +153,8 @@ def mixed_space(domain: mesh.Mesh, *parts: tuple[int, int]) -> fem.FunctionSpace
     elements = []
     for degree, size in parts:
         element = _lagrange_element(cell, degree, False)
-        elements.append(ufl_wrapper.VectorElement(element, size) if size > 1 else element)
-    return _function_space(domain, ufl_wrapper.MixedElement(elements))
+        elements.append(ufl.VectorElement(element, dim=size) if size > 1 else element)
+    return _function_space(domain, ufl.MixedElement(elements))
 
 
 def component_space(space: fem.FunctionSpace, component: int) -> tuple[fem.FunctionSpace, IntArray]:
@@ -217,10 +210,12 @@ def tabulate(space: fem.FunctionSpace, points: FloatArray) -> FloatArray:
     Returns:
         Values, shape (n, dofs per cell).
     """
+    if not len(points):
+        return np.empty((0, cell_dofs(space).shape[1]))
     element = space.ufl_element()
     while element.num_sub_elements():
         element = element.sub_elements()[0]
-    return element.tabulate(0, points)[0].reshape(len(points), -1)
+    return convert_ufl_element(element).tabulate(0, points)[0].reshape(len(points), -1)
 
 
 def node_points(space: fem.FunctionSpace) -> FloatArray:

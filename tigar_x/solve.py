@@ -342,6 +342,7 @@ class SplineSystem:
         self._dx_fe = self._b_fe.duplicate()
         self.b = spline.M.createVecRight()
         self._dx = self.b.duplicate()
+        self._product = self.b.duplicate()  # work space: making vectors again and again would leak in petsc4py
         first, last = self.b.getOwnershipRange()
         fixed = np.asarray(spline.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
         self._zero = fixed[(fixed >= first) & (fixed < last)]
@@ -386,10 +387,26 @@ class SplineSystem:
             This rank's spline values.
         """
         self._diagonal.array_w[:] = nodal.ravel()
-        result = self.spline.M.createVecRight()
-        self.spline.M.multTranspose(self._diagonal, result)
-        result.array_w[self._zero_local] = 0.0
-        return result.array_r.copy()
+        self.spline.M.multTranspose(self._diagonal, self._product)
+        self._product.array_w[self._zero_local] = 0.0
+        return self._product.array_r.copy()
+
+    def product_norm(self, nodal: FloatArray) -> float:
+        """Norm of ``M^T A_FE x`` without the zero dofs, zero before the first tangent.
+
+        Args:
+            nodal: homogeneous nodal values x, this rank's owned dofs first, any shape of that size.
+
+        Returns:
+            Euclidean norm; unit of the residual.
+        """
+        if self._A is None:
+            return 0.0
+        self._dx_fe.array_w[:] = nodal.ravel()[: self._dx_fe.getLocalSize()]
+        self._A_fe.mult(self._dx_fe, self._diagonal)
+        self.spline.M.multTranspose(self._diagonal, self._product)
+        self._product.array_w[self._zero_local] = 0.0
+        return float(self._product.norm())
 
     def assemble_tangent(self, diagonal: FloatArray | None = None) -> None:
         """Assemble, extract and constrain the tangent; the symbolic product is made once.

@@ -1,0 +1,96 @@
+"""Small coupled scenes that several tests share."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
+from shnapr.loads import inertia
+from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from tigar_x import compat, shapes
+from tigar_x.solve import direct
+from tigar_x.spline import ExtractedSpline
+from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from varmint.boundary import weak_dirichlet
+from varmint.space import equal_order_space, split
+from varmint.vms import interior_residual
+
+
+def taylor_hood_residual(v, p, w, q, domain, *, rho, mu, v_t):
+    """Galerkin residual of an inf-sup stable pair, with grad-div stabilisation."""
+    dx = ufl.dx(domain=domain, metadata={"quadrature_degree": 5})
+    D = v_t + ufl.grad(v) * v
+    sigma = 2 * mu * ufl.sym(ufl.grad(v)) - p * ufl.Identity(len(v))
+    return (rho * ufl.inner(D, w) + ufl.inner(sigma, ufl.grad(w)) + (q + ufl.div(w)) * ufl.div(v)) * dx
+
+
+def sheet_in_flow(
+    velocity=(0.3, 0.2),
+    *,
+    n=6,
+    dt=0.1,
+    rho=1.0,
+    mu=0.1,
+    rho_s=1.0,
+    density_of_points=16,
+    ends=((0.35, 0.25), (0.45, 0.75)),
+    rho_infinity=0.5,
+    options=None,
+    taylor_hood=False,
+    moving=True,
+    sheet_velocity=None,
+    traction=0.0,
+    solver=None,
+    length=1.0,
+    stiffness=10.0,
+):
+    """A free elastic sheet in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
+    L = length
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.zeros(2), np.full(2, L)], [n, n], mesh.CellType.triangle)
+    V = compat.mixed_space(domain, (2, 2), (1, 1)) if taylor_hood else equal_order_space(domain)
+    w = fem.Function(V, name="w")
+    if moving:
+        for i, value in enumerate(velocity):
+            w.x.array[compat.component_space(V, i)[1]] = value
+    time = TimeIntegrator(w, dt, generalized_alpha(rho_infinity), algebraic=(2,))
+    (v, p), (v_t, _), (z, q) = split(time.x_alpha), split(time.xdot_alpha), split(ufl.TestFunction(V))
+    g = fem.Constant(domain, np.array(velocity, dtype=float))
+    c_rho, c_mu = fem.Constant(domain, float(rho)), fem.Constant(domain, float(mu))
+    band = None
+    if taylor_hood:
+        residual = taylor_hood_residual(v, p, z, q, domain, rho=c_rho, mu=c_mu, v_t=v_t)
+    else:
+        band = SurfaceBand(domain)
+        scales = {"scale_m": band.scale_m, "scale_c": band.scale_c}
+        residual = interior_residual(v, p, z, q, domain, rho=c_rho, mu=c_mu, v_t=v_t, dt=time.dt, **scales)
+    ds = ufl.ds(domain=domain, metadata={"quadrature_degree": 2})
+    residual += weak_dirichlet(v, p, z, q, g, domain, ds, rho=c_rho, mu=c_mu)
+    pin = compat.pin_component(V, 2, lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 0.0))
+    fluid = FluidSubproblem(
+        domain, residual, time, bcs=[pin], band=band, solver=solver or direct(), density=rho, viscosity=mu
+    )
+
+    a, b = L * np.array(ends[0]), L * np.array(ends[1])
+    spline = ExtractedSpline(shapes.line(a, b, elements=density_of_points), MPI.COMM_SELF, quadrature_degree=4)
+    start = velocity if sheet_velocity is None else sheet_velocity
+    n_functions = spline.patch.basis.n
+    y = spline.function(name="y")
+    shell_time = TimeIntegrator(
+        y,
+        dt,
+        generalized_alpha(rho_infinity, 2, first_order_alpha_m=True),
+        xdot=spline.function(np.tile(np.asarray(start, dtype=float), (n_functions, 1))),
+    )
+    zs = ufl.TestFunction(spline.V)
+    E, h, c_rho_s = (fem.Constant(spline.mesh, float(x)) for x in (stiffness, 0.05 * L, rho_s))
+    material = StVenantKirchhoff(E, 0.3, h, bending=False)
+    shell_residual = virtual_work(spline, lambda u: strain_energy(spline, material, u), shell_time.x_alpha, zs)
+    shell_residual += inertia(spline, shell_time.xddot_alpha, zs, density=c_rho_s, thickness=h)
+    load = fem.Constant(spline.mesh, np.array([float(traction), 0.0]))
+    shell_residual -= ufl.inner(load, spline.rationalize(zs)) * spline.dx
+    shell = ShellSubproblem(spline, shell_residual, shell_time, solver=direct("petsc"))
+    fsi = CouDALFISh(fluid, shell, CouplingOptions() if options is None else options)
+    return SimpleNamespace(fsi=fsi, fluid=fluid, shell=shell, w=w, y=y, g=g, mu=c_mu, load=load, domain=domain)

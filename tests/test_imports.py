@@ -1,0 +1,39 @@
+"""A scene pays only for what is in it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from scenes import sheet_in_flow
+
+OPTIONAL = {"gmsh", "meshio", "matplotlib", "splipy", "h5py"}
+
+
+def loaded_by(statement):
+    code = f"import json, sys; {statement}; print(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_"))}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize("package", ["coudalfish", "varmint.vms", "shnapr.svk", "tigar_x.output"])
+def test_import_pulls_in_nothing_optional(package):
+    assert not loaded_by(f"import {package}") & OPTIONAL
+
+
+def test_the_check_sees_an_optional_library():
+    assert "meshio" in loaded_by("import coudalfish, meshio")
+
+
+def test_flow_needs_no_spline_or_shell():
+    code = "import varmint.vms, varmint.boundary, varmint.space"
+    assert not loaded_by(code) & {"shnapr", "coudalfish"}
+
+
+def test_no_contact_object_without_contact():
+    fsi = sheet_in_flow().fsi
+    assert fsi.contactContext_sh is None
+    assert not any("contact" in name for name in vars(fsi))
