@@ -5,9 +5,10 @@ analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.c
 """
 
 from coudalfish.band import SurfaceBand
-from coudalfish.coupler import CouDALFISh, StepError, StepReport
+from coudalfish.coupler import CouDALFISh
 from coudalfish.monitors import Monitors
 from coudalfish.options import CouplingOptions, PenaltyRule
+from coudalfish.report import StepError, StepReport
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 
 __all__ = [

@@ -179,6 +179,11 @@ class FluidSubproblem:
         self.system.subtract(self.system.solve(self._first_norm))
         return self.system.iterations
 
+    @property
+    def linear_accuracy(self) -> float:
+        """Residual that the linear solver leaves in a step by its own tolerance, 0 for a direct one; unit: force."""
+        return float(self.system.recipe.options.get("ksp_rtol", 0.0)) * self._first_norm
+
     def speed(self) -> float:
         """Largest nodal speed on any rank; unit: length/time."""
         v = self.timeInt.x.x.array[self.velocity_dofs]

@@ -27,7 +27,7 @@ from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
-from tigar_x.solve import FiniteElementSystem, direct, gmres_ilu
+from tigar_x.solve import FiniteElementSystem, LinearSolver, direct, gmres_ilu
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet
@@ -117,7 +117,7 @@ def project(function: fem.Function, expression: Any) -> None:
     system.subtract(system.solve())
 
 
-def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: Any) -> FluidSubproblem:
+def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver) -> FluidSubproblem:
     """The flow: VMS interior, weak Dirichlet conditions on all sides, pressure pinned at the origin."""
     c = constants(domain, data)
     V = equal_order_space(domain)
@@ -178,6 +178,24 @@ def make_membrane(data: Data, elements: int, dt: float, projected: bool) -> Shel
     return ShellSubproblem(spline, residual, time, solver=direct("petsc"))
 
 
+def build(
+    level: int, steps: int, options: CouplingOptions, solver: LinearSolver, *, projected: bool, data: Data
+) -> CouDALFISh:
+    """The scene at a refinement level, before its first step."""
+    N, dt = cells_per_side(level), data.T / steps
+    slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
+    corners = [np.full(2, -slack), np.full(2, data.L + slack)]
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
+    fluid = make_fluid(domain, data, dt, solver)
+    membrane = make_membrane(data, 2 ** (level + 3), dt, projected)
+    return CouDALFISh(fluid, membrane, options, multiplier=data.DP)
+
+
+def cells_per_side(level: int) -> int:
+    """Fluid cells along a side of the square."""
+    return 3 * 2 ** checks.whole("level", level, 0)
+
+
 def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, float]:
     """Norms of the errors at time t; the gradient is compared side by side."""
     domain, spline = fsi.mesh_f, fsi.spline_sh
@@ -220,20 +238,13 @@ def main(
     Returns:
         The summary.
     """
-    data, reference, factor = Data(), preset == "reference", checks.positive("dt_factor", dt_factor)
+    data, reference = Data(), preset == "reference"
+    factor = checks.positive("dt_factor", dt_factor)
     start = initial_velocity or ("projected" if reference else "interpolated")
-    N = 3 * 2**level
-    steps = max(1, round(2 * N / factor))
-    dt = data.T / steps
-
-    slack = 3e-8  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
-    corners = [np.full(2, -slack), np.full(2, data.L + slack)]
-    domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
-    solver = direct() if reference else gmres_ilu(1)
-    fluid = make_fluid(domain, data, dt, solver)
-    membrane = make_membrane(data, 2 ** (level + 3), dt, start == "projected")
+    steps = max(1, round(2 * cells_per_side(level) / factor))
     options = CouplingOptions.reference() if reference else CouplingOptions()
-    fsi = CouDALFISh(fluid, membrane, options, multiplier=data.DP)
+    solver = direct() if reference else gmres_ilu(1)
+    fsi = build(level, steps, options, solver, projected=start == "projected", data=data)
 
     watch, progress = script.Stopwatch(), script.Progress(steps)
     reports, memory = [], []
@@ -269,8 +280,8 @@ def main(
         block_iterations_mean=float(np.mean(passes)),
         block_iterations_max=max(passes),
         linear_iterations_mean=float(np.mean([report.linear_iterations for report in reports])),
-        dofs_fluid=fluid.timeInt.x.function_space.dofmap.index_map.size_global * 3,
-        dofs_shell=membrane.spline.patch.basis.n * 2,
+        dofs_fluid=fsi.timeInt_f.x.function_space.dofmap.index_map.size_global * 3,
+        dofs_shell=fsi.spline_sh.patch.basis.n * 2,
         wall_s=watch.wall_s,
         cpu_s=watch.cpu_s,
         rss_mib_step_10=memory[min(9, len(memory) - 1)],

@@ -11,6 +11,7 @@ from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubpro
 from shnapr.loads import inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import compat, shapes
+from tigar_x.patch import Patch
 from tigar_x.solve import direct
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
@@ -46,6 +47,7 @@ def sheet_in_flow(
     solver=None,
     length=1.0,
     stiffness=10.0,
+    weights=None,
 ):
     """A free elastic sheet in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
     L = length
@@ -74,15 +76,16 @@ def sheet_in_flow(
     )
 
     a, b = L * np.array(ends[0]), L * np.array(ends[1])
-    spline = ExtractedSpline(shapes.line(a, b, elements=density_of_points), MPI.COMM_SELF, quadrature_degree=4)
+    line = shapes.line(a, b, elements=density_of_points, degree=1 if weights is None else 2)
+    patch = line if weights is None else Patch.from_points(line.bases, line.points, weights(line.basis.n))
+    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=6)
     start = velocity if sheet_velocity is None else sheet_velocity
-    n_functions = spline.patch.basis.n
     y = spline.function(name="y")
     shell_time = TimeIntegrator(
         y,
         dt,
         generalized_alpha(rho_infinity, 2, first_order_alpha_m=True),
-        xdot=spline.function(np.tile(np.asarray(start, dtype=float), (n_functions, 1))),
+        xdot=spline.function(patch.weights[:, None] * np.asarray(start, dtype=float)),
     )
     zs = ufl.TestFunction(spline.V)
     E, h, c_rho_s = (fem.Constant(spline.mesh, float(x)) for x in (stiffness, 0.05 * L, rho_s))

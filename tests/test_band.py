@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from coudalfish import SurfaceBand
-from coudalfish.trace import PointLocator
 from dolfinx import mesh
 from mpi4py import MPI
 
+from coudalfish import SurfaceBand
+from coudalfish.trace import PointLocator
 from tigar_x import compat
 
 

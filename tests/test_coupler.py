@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
+from scenes import sheet_in_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
-from scenes import sheet_in_flow
+from tigar_x import compat
+from tigar_x.solve import gmres_ilu
 
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 
@@ -34,6 +36,29 @@ def test_free_sheet_in_uniform_flow_translates_exactly(velocity, taylor_hood):
         assert np.abs(scene.fsi.lam).max() < 1e-9
         assert abs(report.monitors.leak) < 1e-10
         assert report.monitors.normal_slip_max < 1e-10
+
+
+@pytest.mark.mpi
+def test_rational_sheet_translates_exactly_and_balances():
+    """Weights enter positions, velocities, normals, forces and tangents of the coupling."""
+
+    def weights(n):
+        return np.random.default_rng(0).uniform(0.5, 2.0, n)
+
+    scene = sheet_in_flow((0.3, 0.2), options=TIGHT, weights=weights)
+    for step in range(1, 4):
+        scene.fsi.takeStep()
+        np.testing.assert_allclose(scene.shell.spline.nodal(scene.y) - np.array([0.03, 0.02]) * step, 0.0, atol=1e-10)
+    normals = scene.shell.normals()
+    assert np.abs(normals - normals.mean(axis=0)).max() < 1e-10
+    assert np.linalg.norm(normals[0]) == pytest.approx(1.0, abs=1e-10)
+    pushed = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.0), options=TIGHT, weights=weights)
+    report = pushed.fsi.takeStep()
+    spline, time = pushed.shell.spline, pushed.shell.timeInt
+    (momentum,) = compat.compile_forms(0.05 * spline.rationalize(time.xddot_old)[0] * spline.dx)
+    assert report.monitors.force[0] < 0.0
+    rate = time.scheme.alpha_m * compat.assemble_scalar(momentum)
+    assert rate == pytest.approx(report.monitors.force[0], rel=1e-9)
 
 
 @pytest.mark.mpi
@@ -182,6 +207,14 @@ def test_suspect_is_the_slip_ratio_when_the_penalty_is_too_small():
     scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.0), options=options)
     scene.fsi.lam[:] = 1.0
     with pytest.raises(StepError, match=r"slip ratio .*raise the penalty beta.* advised at most 0.3"):
+        scene.fsi.takeStep()
+
+
+def test_suspect_is_the_linear_solver_when_its_tolerance_is_too_loose():
+    options = CouplingOptions(block_rtol=1e-9, max_passes=5)
+    loose = gmres_ilu(1, rtol=1e-2)
+    scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.0), options=options, solver=loose)
+    with pytest.raises(StepError, match=r"suspect: linear solver's residual.*tighten its rtol"):
         scene.fsi.takeStep()
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+
 from coudalfish import exchange
 from coudalfish.monitors import measure
 

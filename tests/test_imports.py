@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import pytest
-
 from scenes import sheet_in_flow
 
 OPTIONAL = {"gmsh", "meshio", "matplotlib", "splipy", "h5py"}

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from coudalfish.trace import PointLocator, trace_matrix
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
+from coudalfish.trace import PointLocator, trace_matrix
 from tigar_x import compat
 
 COMM = MPI.COMM_WORLD
@@ -97,7 +97,7 @@ def test_changed_number_of_points_is_no_error():
 
 def test_bad_meshes_are_refused():
     quads = mesh.create_unit_square(COMM, 2, 2, mesh.CellType.quadrilateral)
-    with pytest.raises(ValueError, match="quadrilateral.*'triangle' or 'tetrahedron'"):
+    with pytest.raises(ValueError, match=r"quadrilateral.*'triangle' or 'tetrahedron'"):
         PointLocator(quads)
     flat = compat.create_mesh(MPI.COMM_SELF, "triangle", [[0, 1, 2], [1, 2, 3]], [[0, 0], [1, 0], [0, 1], [0.5, 0.5]])
     with pytest.raises(ValueError, match="zero size near"):

@@ -228,6 +228,7 @@ class FiniteElementSystem:
     Attributes:
         A: tangent matrix.
         b: residual vector, with ghosts.
+        recipe: linear solver recipe.
         iterations: linear iterations of the last solve.
     """
 
@@ -242,15 +243,15 @@ class FiniteElementSystem:
     ) -> None:
         self.x = x
         self.bcs = tuple(bcs)
-        self._solver_recipe = direct() if solver is None else solver
+        self.recipe = direct() if solver is None else solver
         jacobian = ufl.derivative(residual, x) if tangent is None else tangent
         self._residual, self._tangent = compat.compile_forms(residual, jacobian)
         blocked = x.function_space.dofmap.index_map_bs > 1
-        self.A = compat.create_matrix(self._tangent, self._solver_recipe.matrix if blocked else "aij")
+        self.A = compat.create_matrix(self._tangent, self.recipe.matrix if blocked else "aij")
         self.b = compat.create_vector(x.function_space)
         self._dx = self.b.duplicate()
         self.constrained = compat.constrained_dofs(self.bcs)
-        self._solver = PreparedSolver(self._solver_recipe, self.A)
+        self._solver = PreparedSolver(self.recipe, self.A)
         self.iterations = 0
 
     def apply_boundary_values(self) -> None:

@@ -1,0 +1,149 @@
+"""Why the defaults are what they are: one table per choice, on the manufactured fluid-membrane problem.
+
+CPU seconds of one process; within a table they may be compared, as the runs follow each other directly.
+"""
+
+import csv
+import importlib.util
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from coudalfish import CouplingOptions, PenaltyRule, StepError
+from tigar_x import script
+from tigar_x.solve import LinearSolver, direct, gmres_ilu
+
+_spec = importlib.util.spec_from_file_location(
+    "manufactured_demo", Path(__file__).resolve().parent.parent / "demos" / "manufactured.py"
+)
+demo = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(demo)
+
+HEADER = ("setting", "steps", "passes", "linear", "CPU s", "L2 u", "H1 u", "L2 p", "L2 y")
+DEFAULT = CouplingOptions()
+ILU = gmres_ilu(1)
+
+
+def run(
+    setting: str,
+    options: CouplingOptions = DEFAULT,
+    solver: LinearSolver = ILU,
+    *,
+    level: int,
+    dt_factor: float = 1.0,
+    projected: bool = False,
+    **data: float,
+) -> tuple[Any, ...]:
+    """One row: what it cost and its errors (degree-8 quadrature), or why it failed."""
+    chosen = replace(demo.Data(), **data)
+    steps = max(1, round(2 * demo.cells_per_side(level) / dt_factor))
+    fsi = demo.build(level, steps, options, solver, projected=projected, data=chosen)
+    watch, reports = script.Stopwatch(), []
+    try:
+        with watch:
+            for _ in range(steps):
+                reports.append(fsi.takeStep())
+    except StepError as error:
+        return (setting, len(reports), *["-"] * 6, f"failed: {error}")
+    errors = demo.errors(fsi, chosen, chosen.T, 8)
+    passes, linear = sum(r.passes for r in reports), sum(r.linear_iterations for r in reports)
+    return (setting, steps, passes, linear, watch.cpu_s, *(errors[n] for n in ("L2_u", "H1_u", "L2_p", "L2_y")))
+
+
+def studies() -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
+    """All tables: title and rows."""
+    yield (
+        "presets, level 4",
+        [
+            run("reference", CouplingOptions.reference(), direct(), level=4, projected=True),
+            run("default", level=4),
+            run("default, dt x 2", level=4, dt_factor=2),
+        ],
+    )
+    yield (
+        "penalty C_1 and scale_c, level 4",
+        [
+            run(f"C_1 {C_1}, scale_c {s}", replace(DEFAULT, penalty=PenaltyRule(C_1, 0.5), scale_c=s), level=4)
+            for C_1 in (1.0, 2.0, 4.0, 8.0)
+            for s in (0.1, 0.02, 0.01, 0.001)
+        ],
+    )
+    yield (
+        "scale_c under a pressure jump of 30, level 4",
+        [run(f"scale_c {s}", replace(DEFAULT, scale_c=s), level=4, DP=30.0) for s in (0.1, 0.02, 0.01, 0.001)],
+    )
+    yield (
+        "scale_m, level 4",
+        [run(f"scale_m {s}", replace(DEFAULT, scale_m=s), level=4) for s in (1.0, 0.1, 1e-2, 1e-3, 1e-4)],
+    )
+    yield (
+        "penalty C_2 at low viscosity (mu = 1e-3), level 4",
+        [
+            run(f"C_2 {C_2}", replace(DEFAULT, penalty=PenaltyRule(2.0, C_2)), level=4, mu=1e-3)
+            for C_2 in (0.0, 0.1, 0.5, 2.0)
+        ],
+    )
+    yield (
+        "block tolerance and fluid tangent, level 4, dt x 4",
+        [
+            run(f"{t}, block_rtol {r:g}", replace(DEFAULT, fluid_tangent=t, block_rtol=r), level=4, dt_factor=4)
+            for t in ("lumped", "consistent")
+            for r in (1e-1, 1e-2, 1e-3, 1e-5)
+        ],
+    )
+    yield (
+        "normal, tangent update and stopping, level 4, dt x 4",
+        [
+            run("defaults", level=4, dt_factor=4),
+            run("normal of the iterate", replace(DEFAULT, normal="iterate"), level=4, dt_factor=4),
+            run("tangent in every pass", replace(DEFAULT, tangent_update="pass"), level=4, dt_factor=4),
+            run(
+                "published stopping, 1e-3",
+                replace(DEFAULT, stopping="published", block_rtol=1e-3),
+                level=4,
+                dt_factor=4,
+            ),
+        ],
+    )
+    for level in (4, 5):
+        yield (
+            f"linear solver, level {level}, dt x 4",
+            [
+                run("MUMPS", DEFAULT, direct(), level=level, dt_factor=4),
+                *(
+                    run(
+                        f"GMRES, block ILU({k}), rtol {rtol:g}",
+                        DEFAULT,
+                        gmres_ilu(k, rtol=rtol),
+                        level=level,
+                        dt_factor=4,
+                    )
+                    for k, rtol in ((0, 1e-8), (1, 1e-3), (1, 1e-6), (1, 1e-8), (2, 1e-8))
+                ),
+            ],
+        )
+    yield "time step, level 4", [run(f"dt x {f:g}", level=4, dt_factor=f) for f in (0.5, 1, 2, 4, 8, 16)]
+
+
+def main(out: Path = Path("results/benchmarks")) -> None:
+    """Run all studies; print them as Markdown and write them as CSV.
+
+    Args:
+        out: folder of the results.
+    """
+    logging.getLogger("coudalfish").setLevel(logging.ERROR)
+    out.mkdir(parents=True, exist_ok=True)
+    with open(out / "defaults.csv", "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("study", *HEADER))
+        for title, rows in studies():
+            print(f"\n**{title}**\n\n| {' | '.join(HEADER)} |\n|{' --- |' * len(HEADER)}")
+            for row in rows:
+                print("| " + " | ".join(f"{c:.3g}" if isinstance(c, float) else str(c) for c in row) + " |", flush=True)
+                writer.writerow((title, *row))
+
+
+if __name__ == "__main__":
+    script.command_line(main)

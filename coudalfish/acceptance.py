@@ -1,0 +1,94 @@
+"""When the block iteration of a step has converged, stalls or diverges."""
+
+from coudalfish.options import CouplingOptions
+from coudalfish.report import RejectedStepError
+
+GROWTH_LIMIT = 1e3
+"""Growth of a residual within a step at which the step is given up."""
+STALL = 0.5
+"""Tangents that are kept during a step are assembled anew when a pass reduces a residual by less than this."""
+BLOCKS = ("fluid", "shell")
+
+Pair = tuple[float, float]
+
+
+class Acceptance:
+    """Judges the residuals (fluid, shell) of one step.
+
+    A residual is small when it is below ``block_rtol`` times a reference or below a floor. The reference is the first
+    residual or, unless the stopping is "published", the present coupling forces where these are smaller: the first
+    residual alone may be dominated by data that change in time, such as walls with a strong penalty. A residual that
+    starts from nothing, as at rest, is referred to what the other block makes of it in the first pass.
+
+    Args:
+        options: tolerances and stopping rule.
+
+    Attributes:
+        history: residuals of every test; unit: force.
+        limits: residuals that the last test would have accepted; unit: force.
+    """
+
+    def __init__(self, options: CouplingOptions) -> None:
+        self._options = options
+        self._published = options.stopping == "published"
+        self._first = [0.0, 0.0]
+        self._floors: Pair = (0.0, 0.0)
+        self.history: list[Pair] = []
+        self.limits: Pair = (0.0, 0.0)
+
+    def note(self, norm_f: float, norm_s: float) -> None:
+        """Take residuals into account as first ones, while the first pass lasts."""
+        if len(self.history) <= (0 if self._published else 1):
+            self._first = [max(old, new) for old, new in zip(self._first, (norm_f, norm_s), strict=True)]
+
+    def test(self, norms: Pair, coupling: Pair, floors: Pair | None) -> bool:
+        """Whether both residuals are small.
+
+        Args:
+            norms: residuals, finite; unit: force.
+            coupling: coupling forces in both blocks; unit: force.
+            floors: absolute limits; None: as before; unit: force.
+
+        Returns:
+            True when the step may be accepted.
+
+        Raises:
+            RejectedStepError: a residual grows without bound.
+        """
+        self.note(*norms)
+        self.history.append(norms)
+        self._floors = self._floors if floors is None else floors
+        self.limits = self._limit(0, coupling[0]), self._limit(1, coupling[1])
+        small = [norm <= limit for norm, limit in zip(norms, self.limits, strict=True)]
+        for i, block in enumerate(BLOCKS):
+            if not small[i] and self._ratio(i) > GROWTH_LIMIT:
+                raise RejectedStepError(
+                    block, f"the residual grew {self._ratio(i):.3g} times in {len(self.history) - 1} passes"
+                )
+        return all(small)
+
+    def _limit(self, i: int, force: float) -> float:
+        reference = self._first[i]
+        if force and not self._published:
+            reference = min(reference, force)
+        return max(self._options.block_rtol * reference, self._floors[i])
+
+    def _ratio(self, i: int) -> float:
+        return self.history[-1][i] / self._first[i] if self._first[i] else 0.0
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the last pass reduced one of the residuals too little."""
+        if len(self.history) < 2:
+            return False
+        old, new = self.history[-2:]
+        return any(b > STALL * a for a, b in zip(old, new, strict=True))
+
+    def failure(self) -> RejectedStepError:
+        """The error that the limit of passes has been reached, naming the block that is further from convergence."""
+        ratios = [self._ratio(0), self._ratio(1)]
+        return RejectedStepError(
+            BLOCKS[ratios.index(max(ratios))],
+            f"no convergence in {self._options.max_passes} passes (residuals relative to the first: "
+            f"fluid {ratios[0]:.3g}, shell {ratios[1]:.3g}, required {self._options.block_rtol:g})",
+        )

@@ -1,0 +1,59 @@
+"""What a step reports, and how it fails."""
+
+from dataclasses import dataclass
+
+from coudalfish.monitors import Monitors
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What a step did.
+
+    Attributes:
+        t: time at its end.
+        passes: block passes, each one solve of the fluid and one of the shell.
+        residuals: norms (fluid, shell) of every test; unit: force.
+        linear_iterations: iterations of the fluid's linear solver in all passes.
+        penalty: beta.
+        inactive_points: immersed points outside the fluid mesh.
+        slip_ratio: ``max|lam| dt/(beta h)``.
+        monitors: slip, leak and balance; None when the step failed.
+    """
+
+    t: float
+    passes: int
+    residuals: tuple[tuple[float, float], ...]
+    linear_iterations: int
+    penalty: float
+    inactive_points: int
+    slip_ratio: float
+    monitors: Monitors | None
+
+
+class StepError(RuntimeError):
+    """A step that could not be accepted; the state is that of the last good step.
+
+    Attributes:
+        block: "fluid", "shell" or "coupling".
+        suspect: the number that most likely is to blame, in words.
+        report: what was done until then.
+    """
+
+    def __init__(self, block: str, reason: str, suspect: str, report: StepReport) -> None:
+        super().__init__(f"step to t = {report.t:g} failed in the {block} block: {reason}; suspect: {suspect}")
+        self.block = block
+        self.suspect = suspect
+        self.report = report
+
+
+class RejectedStepError(Exception):
+    """Ends an attempt at a step from within.
+
+    Args:
+        block: "fluid", "shell" or "coupling".
+        reason: what happened.
+    """
+
+    def __init__(self, block: str, reason: str) -> None:
+        super().__init__(reason)
+        self.block = block

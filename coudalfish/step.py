@@ -1,0 +1,236 @@
+"""One attempt at a time step: explicit geometry, block iteration, multiplier.
+
+The steps of Kamensky, doi:10.1016/j.camwa.2020.01.023, with convergence tested before a pass solves.
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mpi4py import MPI
+
+from coudalfish import exchange
+from coudalfish.acceptance import Acceptance
+from coudalfish.monitors import Monitors, measure
+from coudalfish.report import RejectedStepError, StepReport
+from coudalfish.trace import Location, trace_matrix
+from tigar_x.compat import FloatArray
+
+if TYPE_CHECKING:
+    from coudalfish.coupler import CouDALFISh
+
+SLIP_LIMIT = 0.3
+"""Largest slip per load change relative to the fluid's cells, lam dt/(beta h), before a warning."""
+SPACING_LIMIT = 0.75
+"""Largest distance of immersed points relative to the fluid's cells before a warning."""
+COURANT_LIMIT = 0.5
+"""Largest displacement per step relative to the fluid's cells that explicit geometry bears well."""
+
+
+class Step:
+    """The data that stay fixed during a step, and the iteration.
+
+    Args:
+        coupler: what is coupled; its multiplier changes only when the attempt succeeds.
+
+    Attributes:
+        block: where the attempt is, "fluid", "shell" or "coupling".
+    """
+
+    def __init__(self, coupler: "CouDALFISh") -> None:
+        self.c = coupler
+        self.fluid, self.shell, self.options = coupler.fluid, coupler.shell, coupler.options
+        self.beta = coupler.penalty
+        self.dt = coupler.timeInt_f.step_size
+        self.block = "coupling"
+        self.acceptance = Acceptance(self.options)
+        self.passes = 0
+        self.linear_iterations = 0
+        self.spacing = 0.0
+        self.inactive = 0
+
+    # -- set-up -------------------------------------------------------------------------------------------------------
+
+    def run(self) -> StepReport:
+        """Predict, iterate, update the multiplier."""
+        self._predict()
+        self._place()
+        self._iterate()
+        return self._finish()
+
+    def _predict(self) -> None:
+        for side in (self.fluid, self.shell):
+            side.timeInt.predict()
+            for update in side.updates:
+                update(float(side.timeInt.t_alpha.value))
+        self.fluid.system.apply_boundary_values()
+
+    def _place(self) -> None:
+        """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
+        x = self.shell.positions()
+        if not np.isfinite(x).all():
+            raise RejectedStepError("shell", "the predicted positions are not finite")
+        location: Location = self.c.locator.locate(x)
+        self.active = location.active
+        self.inactive = int((~location.active).sum())
+        self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
+        self.trace = trace_matrix(self.fluid.velocity_space, location)
+        if self.fluid.band is not None:
+            self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
+        self.n = self.shell.normals()
+        self.spacing = self.shell.spacing(x)
+        if self.spacing > SPACING_LIMIT * self.fluid.mesh_size:
+            self.c.warn_once(
+                "spacing",
+                "immersed points are up to %.3g apart, %.2f times the fluid's cell size: the surface may leak "
+                "(at most %g times is advised)",
+                self.spacing,
+                self.spacing / self.fluid.mesh_size,
+                SPACING_LIMIT,
+            )
+
+    # -- block iteration ----------------------------------------------------------------------------------------------
+
+    def _iterate(self) -> None:
+        before = self.options.stopping == "before_solve"
+        for _ in range(self.options.max_passes):
+            self._evaluate()
+            norm_f = self._fluid_residual()
+            if before and self._accepted(norm_f, self._shell_residual()):
+                return
+            fresh = self.passes == 0 or self.options.tangent_update == "pass" or self.acceptance.stalled
+            self._solve_fluid(fresh)
+            self.u = self.fluid.velocity_at(self.trace)
+            norm_s = self._shell_residual()
+            self.acceptance.note(0.0, norm_s)
+            self._solve_shell(fresh)
+            self.passes += 1
+            if not before and self._accepted(norm_f, norm_s):
+                self._evaluate()
+                return
+        self._evaluate()
+        if before and self._accepted(self._fluid_residual(), self._shell_residual()):
+            return
+        raise self.acceptance.failure()
+
+    def _evaluate(self) -> None:
+        """Velocities, and normals if they follow the iterate, at the points."""
+        self.u, self.y_dot = self.fluid.velocity_at(self.trace), self.shell.velocity()
+        if self.options.normal == "iterate":
+            self.n = self.shell.normals()
+
+    @property
+    def forces(self) -> FloatArray:
+        """Fluid on shell at the points."""
+        return exchange.point_forces(self.u, self.y_dot, self.c.lam, self.n, self.W, penalty=self.beta)
+
+    def _fluid_residual(self) -> float:
+        self.block = "fluid"
+        return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta))
+
+    def _shell_residual(self) -> float:
+        self.block = "shell"
+        return self._finite(self.shell.assemble_residual(self.forces))
+
+    def _finite(self, norm: float) -> float:
+        if not math.isfinite(norm):
+            raise RejectedStepError(self.block, f"the residual of pass {self.passes} is not finite")
+        return norm
+
+    def _solve_fluid(self, fresh: bool) -> None:
+        self.block = "fluid"
+        if fresh:
+            consistent = self.options.fluid_tangent == "consistent"
+            tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
+            part = tangent(self.trace.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
+            self.fluid.assemble_tangent(self.trace, part)
+        self.linear_iterations += self.fluid.solve(first=self.passes == 0)
+
+    def _solve_shell(self, fresh: bool) -> None:
+        self.block = "shell"
+        if fresh:
+            self.shell.assemble_tangent(self.W, self.beta)
+        self.shell.solve()
+
+    def _accepted(self, norm_f: float, norm_s: float) -> bool:
+        self.block = "coupling"
+        forces = self.forces
+        coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
+        floors = self._floors() if self.options.block_atol > 0.0 and self.passes <= 1 else None
+        return self.acceptance.test((norm_f, norm_s), coupling, floors)
+
+    def _floors(self) -> tuple[float, float]:
+        """Residuals below which nothing is left to solve for: a fraction of the terms that balance, and rounding."""
+        part = np.abs(self.c.lam)[:, None] * np.abs(self.n) + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
+        magnitude = self.W[:, None] * part
+        scale_f = self.fluid.momentum_scale() + self.fluid.coupling_norm(self.trace, magnitude)
+        scale_s = self.shell.momentum_scale() + self.shell.coupling_norm(magnitude)
+        error = self.shell.rounding()
+        error_f = self.W[:, None] * self.beta * self.shell.timeInt.xdot_factor * error
+        atol = self.options.block_atol
+        return (
+            atol * scale_f + self.fluid.coupling_norm(self.trace, error_f),
+            atol * scale_s + self.shell.force_of(error),
+        )
+
+    # -- end ----------------------------------------------------------------------------------------------------------
+
+    def _finish(self) -> StepReport:
+        slip = self.u - self.y_dot
+        forces = self.forces
+        lam = exchange.updated_multiplier(
+            self.c.lam, self.u, self.y_dot, self.n, self.active, penalty=self.beta, relaxation=self.options.relaxation
+        )
+        if not np.isfinite(lam).all():
+            raise RejectedStepError("coupling", "the new multiplier is not finite")
+        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.B.T @ forces).sum(axis=0), op=MPI.SUM))
+        monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
+        self.c.lam = lam
+        report = self.report(monitors)
+        if report.slip_ratio > SLIP_LIMIT:
+            self.c.warn_once(
+                "slip",
+                "slip ratio lam dt/(beta h) = %.3g exceeds %g: a load change moves the fluid through the shell by that "
+                "part of a cell; raise the penalty (beta = %.3g) or reduce dt",
+                report.slip_ratio,
+                SLIP_LIMIT,
+                self.beta,
+            )
+        return report
+
+    def report(self, monitors: Monitors | None) -> StepReport:
+        """What has been done so far."""
+        return StepReport(
+            t=self.c.timeInt_f.time + self.dt,
+            passes=self.passes,
+            residuals=tuple(self.acceptance.history),
+            linear_iterations=self.linear_iterations,
+            penalty=self.beta,
+            inactive_points=self.inactive,
+            slip_ratio=float(np.abs(self.c.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
+            monitors=monitors,
+        )
+
+    def suspect(self) -> str:
+        """The number that exceeds its advised limit most, or a statement that none does."""
+        h = self.fluid.mesh_size
+        speed = self.fluid.speed()
+        points = len(self.c.lam)
+        numbers = {
+            "slip ratio lam dt/(beta h) (raise the penalty beta)": (self.report(None).slip_ratio, SLIP_LIMIT),
+            "Courant number |u| dt/h (reduce dt)": (speed * self.dt / h, COURANT_LIMIT),
+            "point spacing/h (refine the shell)": (self.spacing / h, SPACING_LIMIT),
+            "fraction of points outside the fluid mesh": (self.inactive / points, 0.5),
+        }
+        if self.acceptance.limits[0] > 0.0:
+            leftover = self.fluid.linear_accuracy / self.acceptance.limits[0]
+            numbers["linear solver's residual/accepted residual (tighten its rtol)"] = (leftover, 1.0)
+        broken = [name for name, (value, _) in numbers.items() if not math.isfinite(value)]
+        if broken:
+            return f"{broken[0]} is not finite"
+        name, (value, limit) = max(numbers.items(), key=lambda item: item[1][0] / item[1][1])
+        if value > limit:
+            return f"{name} = {value:.3g}, advised at most {limit:g}"
+        return (
+            f"penalty beta = {self.beta:.3g}; all other numbers are within limits, {name} = {value:.3g} comes nearest"
+        )

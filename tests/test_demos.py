@@ -1,0 +1,60 @@
+"""Every demo on disk runs at toy size and leaves what it promises."""
+
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import pytest
+from on_disk import DEMOS, ROOT, load_demo
+
+COMMON = {"demo", "inputs", "compile_s", "wall_s", "cpu_s", "peak_rss_mib", "versions"}
+
+
+def test_there_are_demos():
+    assert "manufactured" in DEMOS
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_demo_at_toy_size(name, tmp_path):
+    demo = load_demo(name)
+    summary = demo.main(**demo.TOY, out=tmp_path, viz=True)
+    written = json.loads((tmp_path / "summary.json").read_text())
+    assert written == json.loads(json.dumps(summary))
+    assert set(written) >= COMMON
+    assert written["demo"] == name
+    assert written["errors"] or written["qoi"]
+    assert all(value > 0.0 for value in written.get("errors", {}).values())
+    for path in tmp_path.glob("*.xdmf"):
+        ET.parse(path)
+        assert path.with_suffix(".h5").exists()
+    for path in tmp_path.glob("*.pvd"):
+        entries = ET.parse(path).findall(".//DataSet")
+        assert len(entries) == written["steps"]
+        assert all((tmp_path / entry.get("file")).exists() for entry in entries)
+    assert list(tmp_path.glob("*.png"))
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_every_option_is_on_the_command_line_and_no_other(name):
+    script = ROOT / "demos" / f"{name}.py"
+    shown = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True, check=True).stdout
+    assert all(option in shown for option in ("--out", "--viz", "--no-viz"))
+    wrong = subprocess.run([sys.executable, script, "--no-such-option", "1"], capture_output=True, text=True)
+    assert wrong.returncode == 2
+    assert "--no-such-option" in wrong.stderr
+
+
+def test_no_viz_writes_the_summary_alone(tmp_path):
+    demo = load_demo("manufactured")
+    demo.main(**demo.TOY, out=tmp_path, viz=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("dt_factor", 0.0), ("dt_factor", float("nan")), ("level", -1), ("level", 1.5)]
+)
+def test_bad_input_is_named_before_computing(option, value, tmp_path):
+    with pytest.raises(ValueError, match=f"{option} = {value}"):
+        load_demo("manufactured").main(out=tmp_path, **{option: value})
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,87 @@
+"""The main job: errors, orders, memory and rank-independence of the manufactured fluid-membrane problem."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from on_disk import load_demo
+
+from coudalfish import CouplingOptions
+
+DEMO = load_demo("manufactured")
+NORMS = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
+
+# Errors of an independent implementation of the published algorithm in the plane, degree-2 quadrature in the fluid, with
+# the membrane's initial velocity projected (as published) and interpolated.
+PUBLISHED = {
+    ("projected", 1): (7.620e-2, 0.9204, 2.665, 1.381e-3, 3.644e-2),
+    ("projected", 2): (5.330e-2, 0.7927, 0.7787, 1.387e-3, 1.911e-2),
+    ("projected", 3): (1.909e-2, 0.4193, 0.1416, 7.681e-4, 9.548e-3),
+    ("projected", 4): (6.714e-3, 0.2491, 0.0863, 3.767e-4, 4.762e-3),
+    ("interpolated", 1): (7.910e-2, 0.9329, 2.604, 2.064e-3, 3.667e-2),
+    ("interpolated", 2): (5.831e-2, 0.8743, 0.5489, 1.467e-3, 1.924e-2),
+    ("interpolated", 3): (1.910e-2, 0.4201, 0.1412, 7.636e-4, 9.526e-3),
+    ("interpolated", 4): (6.730e-3, 0.2494, 0.0861, 3.757e-4, 4.755e-3),
+}
+
+
+def fitted_orders(summaries):
+    """Orders in h of the true errors by least squares over all given levels."""
+    log_h = [-s["inputs"]["level"] * np.log(2.0) for s in summaries]
+    return {n: np.polyfit(log_h, np.log([s["errors_true"][n] for s in summaries]), 1)[0] for n in NORMS}
+
+
+@pytest.mark.parametrize(("start", "level"), PUBLISHED)
+def test_reference_preset_reproduces_the_published_algorithm(start, level, tmp_path):
+    summary = DEMO.main(level=level, preset="reference", initial_velocity=start, out=tmp_path, viz=False)
+    for norm, published in zip(NORMS, PUBLISHED[start, level], strict=True):
+        assert summary["errors"][norm] == pytest.approx(published, rel=0.01), norm
+    assert 2.5 <= summary["block_iterations_mean"] <= 3.1
+
+
+def test_default_preset_converges(tmp_path):
+    """With dt proportional to h over levels 2 to 5, and below the published code's errors at level 4 in every norm."""
+    summaries = [DEMO.main(level=level, out=tmp_path, viz=False) for level in (2, 3, 4, 5)]
+    orders = fitted_orders(summaries)
+    assert orders["H1_u"] >= 0.5
+    assert orders["L2_u"] >= 1.0
+    assert orders["L2_y"] >= 0.9
+    published = DEMO.PUBLISHED_CODE[4]
+    assert all(summaries[2]["errors"][norm] < published[norm] for norm in NORMS)
+    assert summaries[3]["errors"]["H1_u"] < 0.12
+    assert all(s["monitors"]["force_imbalance_max"] < 1e-12 for s in summaries)
+    assert summaries[3]["rss_mib_end"] - summaries[3]["rss_mib_step_10"] < 4.0
+
+
+@pytest.mark.slow
+def test_reference_preset_converges(tmp_path):
+    summaries = [DEMO.main(level=level, preset="reference", out=tmp_path, viz=False) for level in (2, 3, 4, 5)]
+    orders = fitted_orders(summaries)
+    assert orders["H1_u"] >= 0.5
+    assert orders["L2_u"] >= 1.4
+    assert orders["L2_y"] >= 0.9
+
+
+def test_a_penalty_that_is_too_small_does_not_converge(tmp_path, monkeypatch):
+    """The same bounds fail when the sheet leaks: the convergence test can tell."""
+    monkeypatch.setattr(DEMO, "CouplingOptions", lambda: CouplingOptions(penalty=1e-3))
+    summaries = [DEMO.main(level=level, out=tmp_path, viz=False) for level in (2, 3)]
+    assert not fitted_orders(summaries)["L2_y"] >= 0.9
+    assert summaries[1]["errors"]["L2_y"] > 10 * DEMO.PUBLISHED_CODE[3]["L2_y"]
+
+
+@pytest.mark.mpi
+def test_every_number_of_ranks_gives_the_same_errors(tmp_path, monkeypatch):
+    """With direct solves and tight blocks the errors do not depend on the ranks; the figures are those of one rank."""
+    monkeypatch.setattr(DEMO, "CouplingOptions", lambda: CouplingOptions(block_rtol=1e-11, block_atol=1e-14))
+    monkeypatch.setattr(DEMO, "gmres_ilu", lambda levels: DEMO.direct())
+    parallel = DEMO.main(level=1, out=tmp_path, viz=False)["errors"]
+    monkeypatch.setattr(DEMO, "MPI", SelfOnly)
+    alone = DEMO.main(level=1, out=tmp_path, viz=False)["errors"]
+    for norm in NORMS:
+        assert parallel[norm] == pytest.approx(alone[norm], rel=1e-8), norm
+
+
+class SelfOnly:
+    """Stands for mpi4py.MPI with a world of one rank, so that every rank computes the whole problem."""
+
+    COMM_WORLD = COMM_SELF = MPI.COMM_SELF
