@@ -280,7 +280,7 @@ def test_subproblems_must_fit():
     scene, other = sheet_in_flow(), sheet_in_flow(dt=0.05)
     with pytest.raises(ValueError, match=r"clocks \(t, dt\).*must be equal"):
         CouDALFISh(scene.fluid, other.shell)
-    with pytest.raises(ValueError, match="alpha_f.*first_order_alpha_m"):
+    with pytest.raises(ValueError, match=r"alpha_f.*first_order_alpha_m"):
         CouDALFISh(scene.fluid, sheet_in_flow(rho_infinity=0.0).shell)
     scene.fluid.density = None
     with pytest.raises(ValueError, match="penalty rule needs the fluid's density"):

@@ -223,11 +223,6 @@ def node_points(space: fem.FunctionSpace) -> FloatArray:
     return np.asarray(space.element.interpolation_points())
 
 
-def max_degree(space: fem.FunctionSpace) -> int:
-    """Largest polynomial degree in a function space."""
-    return int(space.ufl_element().degree())
-
-
 # -- meshes and geometry ----------------------------------------------------------------------------------------------
 
 
@@ -357,18 +352,3 @@ def pin_component(
         raise ValueError(f"where = {where!r} selects no node of component {component}; at least one is needed")
     dofs = np.sort(parent[nodes]).astype(np.int32)
     return fem.dirichletbc(PETSc.ScalarType(value), dofs, _component_view(space, component))
-
-
-def versions() -> dict[str, str]:
-    """Versions of the libraries underneath, for reports."""
-    import scipy
-
-    petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())
-    return {
-        "dolfinx": dolfinx.__version__,
-        "ufl": ufl.__version__,
-        "petsc": petsc,
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "python": platform.python_version(),
-    }

@@ -4,6 +4,7 @@ import argparse
 import inspect
 import json
 import logging
+import platform
 import resource
 import sys
 import time
@@ -14,8 +15,12 @@ from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
 
+import dolfinx
 import numpy as np
+import scipy
+import ufl
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.output import replace_text
@@ -184,6 +189,18 @@ class Quantity:
     doi: str | None = None
 
 
+def versions() -> dict[str, str]:
+    """Versions of the libraries underneath, for reports."""
+    return {
+        "dolfinx": dolfinx.__version__,
+        "ufl": ufl.__version__,
+        "petsc": ".".join(str(part) for part in PETSc.Sys.getVersion()),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "python": platform.python_version(),
+    }
+
+
 def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         return _plain({k: v for k, v in asdict(value).items() if v is not None})
@@ -216,7 +233,7 @@ def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) 
             **known,
             "compile_s": compat.compile_seconds(),
             "peak_rss_mib": MPI.COMM_WORLD.allreduce(peak_rss_mib(), op=MPI.MAX),
-            "versions": compat.versions(),
+            "versions": versions(),
         }
     )
     if MPI.COMM_WORLD.rank == 0:

@@ -1,0 +1,187 @@
+"""Linear solvers: named recipes, and a recipe bound to a matrix."""
+
+import itertools
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from petsc4py import PETSc
+
+from tigar_x import checks
+
+log = logging.getLogger(__name__)
+_prefixes = itertools.count()
+
+
+class SolveError(RuntimeError):
+    """A linear or nonlinear solve that gave no usable answer."""
+
+
+@dataclass(frozen=True)
+class LinearSolver:
+    """A named recipe for ``A x = b``.
+
+    Attributes:
+        name: what messages and reports call it.
+        options: PETSc options of the KSP, without prefix.
+        matrix: PETSc matrix type that the recipe wants for node-blocked systems, "aij" or "baij".
+        rebuild_growth: keep a preconditioner while iterations stay below this factor times those after it was built;
+            None: rebuild it whenever the matrix changed.
+        fallback: recipe to use when this one fails; None: fail.
+    """
+
+    name: str
+    options: Mapping[str, str | int | float] = field(hash=False)
+    matrix: str = "aij"
+    rebuild_growth: float | None = None
+    fallback: "LinearSolver | None" = None
+
+
+def direct(package: str = "mumps") -> LinearSolver:
+    """Sparse LU factorisation.
+
+    Args:
+        package: PETSc factorisation package, "mumps" (any number of ranks) or "petsc" (one rank, small systems).
+
+    Returns:
+        The recipe.
+    """
+    options: dict[str, str | int | float] = {"ksp_type": "preonly", "pc_type": "lu"}
+    options["pc_factor_mat_solver_type"] = package
+    return LinearSolver(f"direct({package})", options)
+
+
+def gmres_ilu(
+    levels: int = 1,
+    *,
+    rtol: float = 1e-8,
+    max_iterations: int = 200,
+    overlap: int = 1,
+    rebuild_growth: float | None = None,
+    fallback: LinearSolver | None = None,
+) -> LinearSolver:
+    """Right-preconditioned GMRES with node-blocked incomplete LU in reverse Cuthill-McKee order.
+
+    On several ranks the factorisation is the subdomain solver of an overlapping additive Schwarz method.
+
+    Args:
+        levels: levels of fill.
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        overlap: overlap of the Schwarz subdomains.
+        rebuild_growth: see :class:`LinearSolver`.
+        fallback: recipe to use when GMRES fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    ilu: dict[str, str | int] = {
+        "pc_type": "ilu",
+        "pc_factor_levels": checks.whole("levels", levels, 0),
+        "pc_factor_mat_ordering_type": "rcm",
+    }
+    options: dict[str, str | int | float] = {
+        "ksp_type": "gmres",
+        "ksp_pc_side": "right",
+        "ksp_norm_type": "unpreconditioned",
+        "ksp_rtol": checks.positive("rtol", rtol),
+        "ksp_max_it": checks.whole("max_iterations", max_iterations, 1),
+        "ksp_gmres_restart": max_iterations,
+        "pc_type": "asm",
+        "pc_asm_overlap": checks.whole("overlap", overlap, 0),
+    }
+    options.update({f"sub_{key}": value for key, value in ilu.items()})
+    last_resort = direct() if fallback is None else fallback
+    return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, last_resort)
+
+
+class PreparedSolver:
+    """A recipe bound to one matrix, with its factors or preconditioner kept as long as they serve.
+
+    Args:
+        recipe: what to do.
+        A: the matrix; its values may change between solves, its pattern may not.
+    """
+
+    def __init__(self, recipe: LinearSolver, A: PETSc.Mat) -> None:
+        self.recipe = recipe
+        self._A = A
+        self._ksp = self._create(recipe, A)
+        self._direct = "ksp_rtol" not in recipe.options
+        self._kept_iterations: int | None = None
+        self._fallback: PreparedSolver | None = None
+
+    def _create(self, recipe: LinearSolver, A: PETSc.Mat) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
+        prefix = f"tigar_x_{next(_prefixes)}_"
+        ksp.setOptionsPrefix(prefix)
+        options = PETSc.Options()
+        chosen = dict(recipe.options)
+        if A.comm.size == 1 and chosen.get("pc_type") == "asm":
+            chosen["pc_type"] = "ilu"
+            chosen.update({key.removeprefix("sub_"): value for key, value in chosen.items() if key.startswith("sub_")})
+            chosen = {k: v for k, v in chosen.items() if not k.startswith(("sub_", "pc_asm"))}
+        for key, value in chosen.items():
+            options[prefix + key] = value
+        ksp.setFromOptions()
+        self._pending_options = [prefix + key for key in chosen]
+        return ksp
+
+    def _clear_options(self) -> None:
+        """PETSc's table of options is finite, and subdomain solvers read theirs in the first solve."""
+        options = PETSc.Options()
+        while self._pending_options:
+            options.delValue(self._pending_options.pop())
+
+    def _attempt(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        try:
+            self._ksp.solve(b, x)
+        except PETSc.Error as error:
+            log.warning("%s failed: %s", self.recipe.name, error)
+            return False
+        finally:
+            self._clear_options()
+        return self._ksp.getConvergedReason() > 0 and math.isfinite(x.norm())
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
+        """Solve ``A x = b``.
+
+        Args:
+            b: right-hand side, finite.
+            x: overwritten by the solution.
+            reference: norm that the recipe's relative tolerance refers to; None: that of ``b``.
+
+        Returns:
+            Number of iterations (1 for a direct solver).
+
+        Raises:
+            SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
+        """
+        if reference is not None and not self._direct:
+            self._ksp.setTolerances(rtol=0.0, atol=float(self.recipe.options["ksp_rtol"]) * reference)
+        pc = self._ksp.getPC()
+        keep = self.recipe.rebuild_growth is not None and self._kept_iterations is not None
+        pc.setReusePreconditioner(keep)
+        solved = self._attempt(b, x)
+        iterations = int(self._ksp.getIterationNumber())
+        growth = self.recipe.rebuild_growth
+        if keep and growth is not None and (not solved or iterations > growth * (self._kept_iterations or 0) + 2):
+            self._kept_iterations = None
+            if not solved:
+                return self.solve(b, x, reference)
+        elif not keep:
+            self._kept_iterations = iterations
+        if solved:
+            return max(iterations, 1)
+        reason, self._kept_iterations = self._ksp.getConvergedReason(), None
+        if self.recipe.fallback is None:
+            raise SolveError(f"{self.recipe.name} failed after {iterations} iterations (PETSc reason {reason})")
+        log.warning("%s failed (PETSc reason %d); using %s", self.recipe.name, reason, self.recipe.fallback.name)
+        if self._fallback is None:
+            self._fallback = PreparedSolver(self.recipe.fallback, self._A)
+        return iterations + self._fallback.solve(b, x)
