@@ -1,0 +1,229 @@
+"""What the series leave on disk, read back by other libraries."""
+
+import csv
+import os
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from splines import WORLD, spline
+
+from tigar_x import compat
+from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries, replace_text
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """One folder for all ranks, below one that the series have to make."""
+    return WORLD.bcast(tmp_path, root=0) / "results"
+
+
+# -- XDMF -------------------------------------------------------------------------------------------------------------
+
+
+def set_components(function, values):
+    """Nodal values of the components of a blocked or mixed function."""
+    for component, value in enumerate(values):
+        space, dofs = compat.component_space(function.function_space, component)
+        function.x.array[dofs] = value(space.tabulate_dof_coordinates().T)
+
+
+def read_xdmf(path):
+    """Coordinates, and values by (name, time)."""
+    h5py = pytest.importorskip("h5py")
+    WORLD.barrier()
+    domain = ET.parse(path).getroot().find("Domain")
+    values = {}
+    with h5py.File(path.with_suffix(".h5"), "r") as file:
+
+        def dataset(item):
+            name, place = item.text.split(":")
+            assert name == path.with_suffix(".h5").name
+            return file[place][:]
+
+        x = dataset(domain.find("Grid/Geometry/DataItem"))
+        for series in domain.findall("Grid[@GridType='Collection']"):
+            for grid in series:
+                t = float(grid.find("Time").get("Value"))
+                values[series.get("Name"), t] = dataset(grid.find("Attribute/DataItem"))
+    return x, values
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("kind", ["blocked", "mixed"])
+def test_xdmf_has_the_vertex_values(cell, kind, folder):
+    flat = cell in ("triangle", "quadrilateral")
+    if flat:
+        domain = mesh.create_unit_square(WORLD, 3, 2, getattr(mesh.CellType, cell))
+    else:
+        domain = mesh.create_unit_cube(WORLD, 2, 2, 1, getattr(mesh.CellType, cell))
+    space = compat.lagrange_space(domain, 2, 3) if kind == "blocked" else compat.mixed_space(domain, (2, 2), (1, 1))
+    w = fem.Function(space)
+    fields = [lambda x: x[0] + 3 * x[1] ** 2 - x[2], lambda x: 10 + x[1] * x[0], lambda x: 20 - x[1] + 5 * x[2]]
+    path = folder / "flow.xdmf"
+    with XDMFSeries(path, domain, velocity=(w, (0, 1)), swapped=(w, (2, 0)), pressure=(w, [2])) as series:
+        set_components(w, fields)
+        series.write(0.0)
+        set_components(w, [lambda x, f=f: -2 * f(x) for f in fields])
+        series.write(0.125)
+
+    x, values = read_xdmf(path)
+    assert len(x) == (4 * 3 if flat else 3 * 3 * 2)
+    exact = np.stack([f(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))).T) for f in fields], axis=1)
+    assert set(values) == {(name, t) for name in ("velocity", "swapped", "pressure") for t in (0.0, 0.125)}
+    for t, factor in ((0.0, 1.0), (0.125, -2.0)):
+        for name, components in (("velocity", [0, 1]), ("swapped", [2, 0]), ("pressure", [2])):
+            found = values[name, t]
+            np.testing.assert_allclose(found[:, : len(components)], factor * exact[:, components], rtol=0, atol=1e-13)
+            assert not found[:, len(components) :].any()  # padding to three components
+
+
+def test_xdmf_refuses_a_component_that_does_not_exist(folder):
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    w = fem.Function(compat.lagrange_space(domain, 1, 2))
+    with pytest.raises(IndexError, match="component = 2"):
+        XDMFSeries(folder / "flow.xdmf", domain, velocity=(w, (0, 2)))
+
+
+# -- VTU --------------------------------------------------------------------------------------------------------------
+
+
+def read_index(path):
+    """(time, file) of every entry of a PVD file."""
+    entries = ET.parse(path).getroot().findall("Collection/DataSet")
+    return [(float(e.get("timestep")), path.parent / e.get("file")) for e in entries]
+
+
+def cell_sizes(x, cells):
+    """Lengths of segments, areas of quadrilaterals that are given in cyclic order."""
+    corners = x[cells]
+    if corners.shape[1] == 2:
+        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("name", "kind", "n_cells", "size"),
+    [("arc", "line", 4, np.pi / 2), ("annulus", "quad", 16, 0.75 * np.pi), ("parallelogram", "quad", 54, 10.0)],
+)
+def test_vtu_is_the_deformed_spline(name, kind, n_cells, size, folder):
+    meshio = pytest.importorskip("meshio")
+    s = spline(name, alone=True)
+    n, nsd = len(s.node_positions), s.nsd
+    y, v = s.function(), s.function(0.25 * s.patch.control[:, :-1])
+    positions = np.pad(s.node_positions, ((0, 0), (0, 3 - nsd)))
+    with VTUSeries(
+        folder / "shell", s, y, velocity=v, pressure=lambda: np.arange(n) / n, **{"n": lambda: -s.nodal(v)}
+    ) as movie:
+        for step, factor in enumerate((0.0, 0.5)):
+            y.x.array[:] = s.function(factor * s.patch.control[:, :-1]).x.array
+            movie.write(0.1 * step)
+            WORLD.barrier()
+            # the index is complete after every step, not only at the end
+            index = read_index(folder / "shell.pvd")
+            assert [t for t, _ in index] == [0.0, 0.1][: step + 1]
+            WORLD.barrier()
+    assert sorted(folder.iterdir()) == sorted([folder / "shell.pvd", *(file for _, file in index)])
+    for (_, file), factor in zip(index, (0.0, 0.5), strict=True):
+        read = meshio.read(file)
+        np.testing.assert_allclose(read.points, (1 + factor) * positions, rtol=0, atol=1e-13)
+        assert set(read.point_data) == {"displacement", "velocity", "pressure", "n"}
+        np.testing.assert_allclose(read.point_data["displacement"], factor * positions, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(read.point_data["velocity"], 0.25 * positions, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(read.point_data["n"], -0.25 * positions, rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(read.point_data["pressure"], np.arange(n) / n)
+        (block,) = read.cells
+        assert (block.type, len(block.data)) == (kind, n_cells)
+        assert set(block.data.ravel()) == set(range(n))
+        sizes = cell_sizes(read.points, block.data)
+        assert sizes.min() > 0.0
+        exact = size * (1 + factor) ** s.patch.dim
+        assert sizes.sum() == pytest.approx(exact, rel=1e-12 if name == "parallelogram" else 0.03)
+        assert sizes.sum() <= exact * (1 + 1e-12)  # chords
+
+
+def test_vtu_without_displacement_is_the_reference(folder):
+    meshio = pytest.importorskip("meshio")
+    s = spline("cylinder", alone=True)
+    with VTUSeries(folder / "still", s) as movie:
+        movie.write(3.0)
+    ((t, file),) = read_index(folder / "still.pvd")
+    read = meshio.read(file)
+    assert t == 3.0
+    assert not read.point_data
+    np.testing.assert_allclose(read.points, s.node_positions, rtol=0, atol=1e-14)
+
+
+def test_vtu_series_whose_names_contain_dots_are_kept_apart(folder):
+    pytest.importorskip("meshio")
+    for name in ("nu_0.1", "nu_0.2"):
+        with VTUSeries(folder / name, spline("line", alone=True)) as movie:
+            movie.write(0.0)
+    for name in ("nu_0.1", "nu_0.2"):
+        ((_, file),) = read_index(folder / f"{name}.pvd")
+        assert file == folder / f"{name}_000000.vtu"
+
+
+@pytest.mark.mpi
+@pytest.mark.skipif(WORLD.size == 1, reason="needs more than one rank")
+def test_vtu_refuses_a_distributed_spline(folder):
+    with pytest.raises(ValueError, match=f"spline lives on {WORLD.size} ranks"):
+        VTUSeries(folder / "shell", spline("line"))
+
+
+# -- CSV and text -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_csv_history(folder):
+    path = folder / "tip.csv"
+    rows = [(0.1, 1 / 3, np.float64(-2e-17)), (0.2, 5, np.float64(np.pi))]
+    with CSVSeries(path, ["u x", "F"]) as history:
+        for n, row in enumerate(rows, start=1):
+            history.write(*row)
+            WORLD.barrier()
+            with open(path, newline="") as file:  # each row is on disk at once
+                header, *found = csv.reader(file)
+            assert header == ["t", "u x", "F"]
+            assert [tuple(map(float, r)) for r in found] == rows[:n]
+            WORLD.barrier()
+        for values in ((), (1.0,), (1.0, 2.0, 3.0)):
+            with pytest.raises(ValueError, match=rf"values has {len(values)} entries: 2 are required \('u x', 'F'\)"):
+                history.write(0.3, *values)
+    assert len(path.read_text().splitlines()) == 3
+
+
+def test_csv_is_closed_when_the_run_fails(tmp_path):
+    def run():
+        with CSVSeries(tmp_path / "tip.csv", ["F"]) as history:
+            history.write(0.0, 1.0)
+            raise RuntimeError("the run failed")
+
+    with pytest.raises(RuntimeError, match="the run failed"):
+        run()
+    assert (tmp_path / "tip.csv").read_text().splitlines() == ["t,F", "0.0,1.0"]
+
+
+def test_text_is_replaced_as_a_whole(tmp_path, monkeypatch):
+    path = tmp_path / "summary.json"
+    replace_text(path, "old\n")
+    assert path.read_text() == "old\n"
+    with pytest.raises(UnicodeEncodeError):  # fails while it writes
+        replace_text(path, "new" * 10**5 + "\udc80")
+    assert path.read_text() == "old\n"
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            replace_text(path, "new\n")
+    assert path.read_text() == "old\n"
+    replace_text(path, "new\n")
+    assert path.read_text() == "new\n"
+    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]

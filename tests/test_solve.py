@@ -1,0 +1,274 @@
+"""Linear solver recipes: agreement, fallbacks, kept preconditioners and what they refuse."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from tigar_x import compat
+from tigar_x.linear import PreparedSolver, SolveError, direct, gmres_ilu
+from tigar_x.solve import FiniteElementSystem, newton
+
+WORLD = MPI.COMM_WORLD
+
+
+def petsc_matrix(S):
+    """Matrix on this rank alone; explicit zeros stay in its pattern."""
+    S = sp.csr_matrix(S)
+    S.sort_indices()
+    A = PETSc.Mat().createAIJ(S.shape, csr=(S.indptr, S.indices, S.data.astype(float)), comm=MPI.COMM_SELF)
+    A.assemble()
+    return A
+
+
+def full(rows):
+    """All entries of a small matrix, zeros included, as sparse matrix."""
+    a = np.array(rows, dtype=float)
+    n = len(a)
+    return sp.csr_matrix((a.ravel(), np.tile(np.arange(n), n), n * np.arange(n + 1)), shape=(n, n))
+
+
+def convection(n=14, speed=6.0):
+    """Five-point stencil of a nonsymmetric problem on n x n points; ILU(0) is not exact for it."""
+    D = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (n, n)) + speed / n * sp.diags([-1.0, 1.0], [-1, 1], (n, n))
+    return sp.csr_matrix(sp.kron(D, sp.identity(n)) + sp.kron(sp.identity(n), D))
+
+
+def tridiagonal(shift, n=60):
+    """ILU(0) of a tridiagonal matrix is its LU, so that a fresh preconditioner needs one iteration."""
+    return sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (n, n)) + sp.diags(shift * np.linspace(0, 1, n) ** 2)
+
+
+def residual(A, b, x):
+    r = b.duplicate()
+    A.mult(x, r)
+    r.aypx(-1.0, b)
+    return r.norm()
+
+
+def ones(A):
+    x, b = A.createVecs()
+    b.set(1.0)
+    return b, x
+
+
+# -- linear recipes ---------------------------------------------------------------------------------------------------
+
+
+def advection_diffusion(solver):
+    """Three coupled components with strong conditions on a whole side and on single components elsewhere."""
+    domain = mesh.create_unit_square(WORLD, 8, 8)
+    V = compat.lagrange_space(domain, 1, 3)
+    u, v, X = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(domain)
+    coupling = ufl.as_matrix([[1.0, 2.0, 0.0], [-2.0, 1.0, 0.5], [0.0, 3.0, 0.0]])
+    wind = ufl.as_vector([4.0 - X[1], 2.0 * X[0]])
+    form = 0.1 * ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.dot(ufl.grad(u) * wind + coupling * u, v)
+    form -= ufl.dot(ufl.as_vector([1.0, X[0], X[1]]), v)
+
+    g = fem.Function(V)
+    g.interpolate(lambda x: np.stack([x[1], 1.0 - x[1], 0.3 + 0.0 * x[1]]))
+    left = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.0))
+    bcs = [
+        fem.dirichletbc(g, left),
+        compat.pin_component(V, 1, lambda x: np.isclose(x[0], 1.0), -0.25),
+        compat.pin_component(V, 2, lambda x: np.isclose(x[0], 1.0) & np.isclose(x[1], 1.0), 7.0),
+    ]
+    return FiniteElementSystem(form * ufl.dx, u, bcs, solver=solver), g
+
+
+def solved(solver):
+    system, g = advection_diffusion(solver)
+    system.apply_boundary_values()
+    report = newton(system, rtol=1e-9, max_iterations=1)
+    return system, g, report
+
+
+def warnings(caplog):
+    return [r.getMessage() for r in caplog.records if r.name.startswith("tigar_x") and r.levelno >= logging.WARNING]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("levels", [0, 1])
+def test_direct_and_iterative_solutions_agree(levels, caplog):
+    reference, _, _ = solved(direct())
+    system, _, report = solved(gmres_ilu(levels, rtol=1e-11))
+    assert reference.A.getType() in ("seqaij", "mpiaij")
+    assert system.A.getType() in ("seqbaij", "mpibaij")
+    assert system.A.getBlockSize() == 3
+    assert 1 < report.linear_iterations[0] < 40
+    assert not warnings(caplog)
+    np.testing.assert_allclose(system.x.x.array, reference.x.x.array, rtol=0, atol=1e-8)
+    assert np.abs(reference.x.x.array).max() > 0.3
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("solver", [direct(), gmres_ilu(1, rtol=1e-11)])
+def test_constraints_hold_exactly(solver):
+    system, g, _ = solved(solver)
+    x, u = system.x.function_space.tabulate_dof_coordinates(), system.x.x.array.reshape(-1, 3)
+    left, right = np.isclose(x[:, 0], 0.0), np.isclose(x[:, 0], 1.0)
+    corner = right & np.isclose(x[:, 1], 1.0)
+    np.testing.assert_array_equal(u[left], g.x.array.reshape(-1, 3)[left])
+    np.testing.assert_array_equal(u[right, 1], -0.25)
+    np.testing.assert_array_equal(u[corner, 2], 7.0)
+    rest = np.concatenate([u[~left & ~right].ravel(), u[right, 0], u[right & ~corner, 2]])
+    assert not np.isin(rest, [-0.25, 7.0]).any()
+
+
+@pytest.mark.mpi
+def test_fallback_is_used_and_logged(caplog):
+    reference, _, _ = solved(direct())
+    system, _, report = solved(gmres_ilu(0, max_iterations=1, rtol=1e-11))
+    np.testing.assert_allclose(system.x.x.array, reference.x.x.array, rtol=0, atol=1e-10)
+    assert report.linear_iterations == (2,)
+    (message,) = warnings(caplog)
+    assert message.startswith("gmres_ilu(0) failed")
+    assert "direct(mumps)" in message
+
+
+@pytest.mark.parametrize("solver", [direct(), direct("petsc"), gmres_ilu(0), replace(gmres_ilu(1), fallback=None)])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [[1, 2, 0], [0, 0, 0], [0, 1, 3]],  # an empty row
+        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        [[1, -1, 0], [-1, 2, -1], [0, -1, 1]],  # nothing holds it, and the load is not in equilibrium
+    ],
+)
+def test_singular_systems_are_refused(solver, rows):
+    A = petsc_matrix(full(rows))
+    with pytest.raises(SolveError, match=r"(direct|gmres_ilu)\(\w+\) failed"):
+        PreparedSolver(solver, A).solve(*ones(A))
+
+
+@pytest.mark.parametrize("solver", [direct(), gmres_ilu(0)])
+def test_a_load_that_is_not_finite_is_refused(solver):
+    A = petsc_matrix(convection(4))
+    b, x = ones(A)
+    b.array_w[3] = np.nan
+    with pytest.raises(SolveError, match="failed"):
+        PreparedSolver(solver, A).solve(b, x)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"levels": -1}, "levels = -1: an integer >= 0"),
+        ({"rtol": 0.0}, "rtol = 0.0: a number > 0"),
+        ({"rtol": float("nan")}, "rtol = nan"),
+        ({"max_iterations": 0}, "max_iterations = 0: an integer >= 1"),
+        ({"overlap": -1}, "overlap = -1"),
+    ],
+)
+def test_bad_recipes(change, message):
+    with pytest.raises(ValueError, match=message):
+        gmres_ilu(**change)
+
+
+def test_more_fill_needs_fewer_iterations():
+    A = petsc_matrix(convection())
+    counts = [PreparedSolver(gmres_ilu(levels, rtol=1e-10), A).solve(*ones(A)) for levels in (0, 1, 3, 100)]
+    assert counts[0] > counts[1] > counts[2] > counts[3]
+    assert counts[3] == 1  # all fill: the factors are exact
+
+
+class TestRebuild:
+    """A preconditioner is kept while it serves."""
+
+    @staticmethod
+    def iterations(growth, shifts, **options):
+        A = petsc_matrix(tridiagonal(0.0))
+        solver = PreparedSolver(replace(gmres_ilu(0, rebuild_growth=growth, **options), fallback=None), A)
+        counts = []
+        for shift in shifts:
+            petsc_matrix(tridiagonal(shift)).copy(A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            b, x = ones(A)
+            counts.append(solver.solve(b, x))
+            assert residual(A, b, x) <= 1e-8 * b.norm()
+        return counts
+
+    def test_without_growth_every_matrix_gets_its_own(self):
+        assert self.iterations(None, [0.0, 1e-5, 1e-5, 10.0, 10.0]) == [1] * 5
+
+    def test_kept_while_iterations_stay_low(self):
+        first, *kept = self.iterations(4.0, [0.0, 1e-5, 1e-5, 1e-5])
+        assert first == 1
+        assert min(kept) > 1
+        assert max(kept) <= 4 * 1 + 2
+
+    def test_rebuilt_after_iterations_have_grown(self):
+        first, grown, rebuilt, kept = self.iterations(4.0, [0.0, 10.0, 10.0, 10.0 + 1e-5])
+        assert grown > 4 * first + 2
+        assert rebuilt == 1
+        assert 1 < kept <= 6
+
+    def test_rebuilt_at_once_when_the_old_one_fails(self):
+        assert self.iterations(4.0, [0.0, 10.0], max_iterations=5) == [1, 1]
+
+
+class TestReference:
+    """The tolerance refers to the given norm, in the recipe and in its fallback."""
+
+    A = petsc_matrix(convection())
+
+    def test_loose_and_tight(self):
+        b, x = ones(self.A)
+        solver = PreparedSolver(gmres_ilu(0, rtol=1e-4), self.A)
+        counts = []
+        for factor in (1e5, 1.0, 1e-4):
+            counts.append(solver.solve(b, x, factor * b.norm()))
+            assert residual(self.A, b, x) <= 1e-4 * factor * b.norm()
+        assert counts[0] == 1  # nothing to do
+        assert not PreparedSolver(gmres_ilu(0, rtol=1e-4), self.A).solve(b, x) < counts[1] < counts[2]
+
+    def test_without_reference_the_load_is_it_again(self):
+        b, x = ones(self.A)
+        solver = PreparedSolver(gmres_ilu(0, rtol=1e-6), self.A)
+        fresh = solver.solve(b, x)
+        solver.solve(b, x, 1e6 * b.norm())
+        assert residual(self.A, b, x) > 0.9 * b.norm()
+        assert solver.solve(b, x) == fresh
+        assert residual(self.A, b, x) <= 1e-6 * b.norm()
+
+    def test_fallback(self):
+        b, x = ones(self.A)
+        recipe = gmres_ilu(0, max_iterations=1, fallback=gmres_ilu(0, rtol=1e-3))
+        PreparedSolver(recipe, self.A).solve(b, x, 1e-6 * b.norm())
+        assert residual(self.A, b, x) <= 1e-9 * b.norm()
+
+    def test_direct_solver_needs_none(self):
+        b, x = ones(self.A)
+        assert PreparedSolver(direct(), self.A).solve(b, x, 1e6 * b.norm()) == 1
+        assert residual(self.A, b, x) < 1e-12 * b.norm()
+
+
+@pytest.fixture
+def table_of_options():
+    """PETSc's table, left as it was found whatever the test does to it."""
+    table = PETSc.Options()
+    before = set(table.getAll())
+    yield lambda: set(table.getAll()) - before
+    for key in set(table.getAll()) - before:
+        table.delValue(key)
+
+
+@pytest.mark.parametrize("solve_at_once", [True, False])
+def test_many_solvers_do_not_fill_the_table_of_options(solve_at_once, table_of_options):
+    A = petsc_matrix(convection(3))
+    b, x = ones(A)
+    solvers = []
+    for _ in range(600):
+        solvers.append(PreparedSolver(gmres_ilu(0), A))
+        if solve_at_once:
+            solvers[-1].solve(b, x)
+    if not solve_at_once:
+        for solver in solvers:
+            solver.solve(b, x)
+    assert residual(A, b, x) <= 1e-8 * b.norm()
+    assert not table_of_options()
