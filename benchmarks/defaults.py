@@ -13,7 +13,7 @@ from typing import Any
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x import script
-from tigar_x.solve import LinearSolver, direct, gmres_ilu
+from tigar_x.linear import LinearSolver, direct, gmres_ilu
 
 _spec = importlib.util.spec_from_file_location(
     "manufactured_demo", Path(__file__).resolve().parent.parent / "demos" / "manufactured.py"

@@ -18,7 +18,7 @@ from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import PointLocator
 from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.solve import SolveError
+from tigar_x.linear import SolveError
 
 log = logging.getLogger(__name__)
 

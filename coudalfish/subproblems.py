@@ -16,8 +16,9 @@ from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.extraction import subcells
+from tigar_x.linear import LinearSolver
 from tigar_x.quadrature import NodalQuadrature
-from tigar_x.solve import FiniteElementSystem, LinearSolver, SplineSystem
+from tigar_x.solve import FiniteElementSystem, SplineSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator
 
@@ -86,7 +87,7 @@ class FluidSubproblem:
         self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
         self._product = self.system.b.duplicate()
         self._has_tangent = False
-        self._first_norm = 0.0
+        self._reference = 0.0
 
     def _median_size(self) -> float:
         x = compat.cell_vertices(self.mesh)[: compat.owned_cells(self.mesh)]
@@ -166,7 +167,7 @@ class FluidSubproblem:
         """Solve for the increment and subtract it.
 
         Args:
-            first: whether this is the step's first solve; later ones need not be more accurate than that one.
+            first: whether this is the step's first solve; later ones need not be more accurate than earlier ones.
 
         Returns:
             Linear iterations.
@@ -174,15 +175,15 @@ class FluidSubproblem:
         Raises:
             SolveError: the linear solver failed.
         """
-        if first:
-            self._first_norm = float(self.system.b.norm())
-        self.system.subtract(self.system.solve(self._first_norm))
+        norm = float(self.system.b.norm())
+        self._reference = norm if first else max(norm, self._reference)
+        self.system.subtract(self.system.solve(self._reference))
         return self.system.iterations
 
     @property
     def linear_accuracy(self) -> float:
         """Residual that the linear solver leaves in a step by its own tolerance, 0 for a direct one; unit: force."""
-        return float(self.system.recipe.options.get("ksp_rtol", 0.0)) * self._first_norm
+        return float(self.system.recipe.options.get("ksp_rtol", 0.0)) * self._reference
 
     def speed(self) -> float:
         """Largest nodal speed on any rank; unit: length/time."""

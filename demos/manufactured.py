@@ -26,8 +26,9 @@ from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubpro
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
+from tigar_x.linear import LinearSolver, direct, gmres_ilu
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
-from tigar_x.solve import FiniteElementSystem, LinearSolver, direct, gmres_ilu
+from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet

@@ -42,6 +42,8 @@ class StVenantKirchhoff:
         checks.parameter("youngs_modulus", self.youngs_modulus, checks.positive)
         checks.parameter("thickness", self.thickness, checks.positive)
         checks.parameter("poisson_ratio", self.poisson_ratio, checks.poisson)
+        for name in ("prestress", "bending_prestress"):
+            checks.entries(name, getattr(self, name))
         if self.bending_prestress is not None and not self.bending:
             raise ValueError("bending_prestress is given with bending = False: a membrane carries no moments")
 

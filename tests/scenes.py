@@ -11,8 +11,8 @@ from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubpro
 from shnapr.loads import inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import compat, shapes
+from tigar_x.linear import direct
 from tigar_x.patch import Patch
-from tigar_x.solve import direct
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet

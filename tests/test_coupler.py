@@ -10,7 +10,7 @@ from scenes import sheet_in_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
 from tigar_x import compat
-from tigar_x.solve import gmres_ilu
+from tigar_x.linear import gmres_ilu
 
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 

@@ -37,7 +37,7 @@ def test_forces_by_hand():
 
 def test_tangents_are_derivatives_of_the_forces(arrays):
     """Row sums agree, the lumped tangent dominates, the consistent one is the derivative."""
-    B, n, W, u, y_dot, lam = arrays
+    B, n, W, _, y_dot, lam = arrays
     factor = 0.7
     K = exchange.consistent_tangent(B, W, penalty=BETA, factor=factor).toarray()
     D = exchange.lumped_tangent(B, W, penalty=BETA, factor=factor).toarray()
@@ -60,7 +60,7 @@ def test_consistent_tangent_couples_nodes_of_one_cell_only():
 
 
 def test_inactive_points_feel_nothing_and_keep_their_multiplier(arrays):
-    B, n, W, u, y_dot, lam = arrays
+    _, n, W, u, y_dot, lam = arrays
     active = np.arange(POINTS) % 3 != 0
     F = exchange.point_forces(u, y_dot, lam, n, np.where(active, W, 0.0), penalty=BETA)
     assert not F[~active].any()

@@ -1,4 +1,7 @@
-"""Weak Dirichlet and stable Neumann conditions (spec 1.5)."""
+"""Weak Dirichlet and stable Neumann conditions.
+
+Bazilevs and Hughes, doi:10.1016/j.compfluid.2005.07.012; Esmaily-Moghadam et al., doi:10.1007/s00466-011-0599-0.
+"""
 
 import numpy as np
 import pytest
@@ -65,7 +68,7 @@ def test_exact_boundary_data_leave_the_traction_only(symmetric):
     ("symmetric", "penalty", "P"), [(True, None, 1e3), (True, 7.0, 7.0), (False, None, 0.0), (False, 7.0, 7.0)]
 )
 def test_terms_of_the_weak_dirichlet_condition(cell, symmetric, penalty, P):
-    """Against spec 1.5 in index notation; the q-term has one sign in both variants."""
+    """Against index notation; the q-term has one sign in both variants."""
     e = Edge(cell)
     i, j, k = ufl.indices(3)
     v, w, n = e.v, e.w, e.n

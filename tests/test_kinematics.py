@@ -1,4 +1,4 @@
-"""Midsurface geometry: spec 4.1 for surfaces in space, 4.7 for curves in the plane."""
+"""Midsurface geometry: surfaces in space, and curves in the plane."""
 
 import numpy as np
 import pytest

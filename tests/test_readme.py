@@ -3,7 +3,6 @@
 import re
 
 import numpy as np
-
 from on_disk import ROOT
 
 TEXT = (ROOT / "README.md").read_text()

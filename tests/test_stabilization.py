@@ -1,4 +1,4 @@
-"""Element metric and stabilisation parameters (spec 1.3)."""
+"""Element metric and stabilisation parameters of the VMS residual."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""St. Venant-Kirchhoff shells (spec 4.2, 4.7) and their loads: energy, residual and tangent against each other."""
+"""St. Venant-Kirchhoff shells and their loads: energy, residual and tangent against each other."""
 
 from functools import cache, cached_property
 

@@ -1,4 +1,4 @@
-"""The VMS residual in the interior (spec 1.1 to 1.4)."""
+"""The VMS residual in the interior (Bazilevs et al., doi:10.1007/s00466-008-0315-x)."""
 
 from functools import cache
 
@@ -84,7 +84,7 @@ def test_tangent(unsteady, banded):
 @pytest.mark.parametrize("unsteady", [False, True])
 @pytest.mark.parametrize(("cell", "degree"), [("triangle", 1), ("triangle", 2), ("quadrilateral", 1)])
 def test_every_term(cell, degree, unsteady):
-    """The powers of the band's scales tell the terms of spec 1.4 apart; each is assembled here in index notation."""
+    """The powers of the band's scales tell the terms apart; each is assembled here in index notation."""
     flow = Flow(cell, degree, n=2)
     v, p, w, q, d = flow.v, flow.p, flow.w, flow.q, flow.d
     f = ufl.as_vector([ufl.sin(flow.x[1]), flow.x[0] ** 2])

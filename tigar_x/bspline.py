@@ -28,6 +28,8 @@ def open_knots(degree: int, breakpoints: ArrayLike) -> FloatArray:
         Knots, shape (elements + 1 + 2 degree,).
     """
     x = checks.array("breakpoints", breakpoints, (None,))
+    if len(x) < 2 or (np.diff(x) <= 0.0).any():
+        raise ValueError(f"breakpoints = {x}: two or more strictly increasing numbers are required")
     return np.concatenate([np.full(degree, x[0]), x, np.full(degree, x[-1])])
 
 
@@ -63,6 +65,7 @@ class BSplineBasis:
             raise ValueError(f"knots repeats {unique[i]} {counts[i]} times: at most {p} times are allowed inside")
         knots = np.repeat(unique, counts)
         knots.flags.writeable = False
+        object.__setattr__(self, "degree", p)
         object.__setattr__(self, "knots", knots)
 
     @staticmethod

@@ -2,7 +2,7 @@
 
 import math
 import numbers
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 def finite(name: str, value: Any) -> float:
     """A finite number, else ValueError."""
-    number = float(value)
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
     if not math.isfinite(number):
         raise ValueError(f"{name} = {value!r}: a finite number is required")
     return number
@@ -41,6 +44,16 @@ def within(name: str, value: Any, low: float, high: float) -> float:
     return number
 
 
+def entries(name: str, value: Any) -> None:
+    """Check that numbers and Constants in a sequence, or a vector Constant, are finite; None and UFL pass unchecked."""
+    numbers_in = getattr(value, "value", None)
+    if isinstance(numbers_in, np.ndarray):
+        array(name, numbers_in, (None,) * numbers_in.ndim)
+    elif isinstance(value, Sequence | np.ndarray):
+        for i, entry in enumerate(value):
+            parameter(f"{name}[{i}]", entry, finite)
+
+
 def poisson(name: str, value: Any) -> float:
     """Poisson's ratio in (-1, 0.5], else ValueError."""
     number = finite(name, value)
@@ -60,14 +73,21 @@ def parameter(name: str, value: Any, check: Callable[[str, Any], float]) -> None
 
 def whole(name: str, value: Any, low: int) -> int:
     """An integer >= low, else ValueError."""
-    if isinstance(value, bool) or int(value) != value or value < low:
+    try:
+        fits = not isinstance(value, bool) and int(value) == value and value >= low
+    except (TypeError, ValueError, OverflowError):
+        fits = False
+    if not fits:
         raise ValueError(f"{name} = {value!r}: an integer >= {low} is required")
     return int(value)
 
 
 def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A finite float array of the given shape (None: any length), else ValueError."""
-    result = np.asarray(value, dtype=np.float64)
+    try:
+        result = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} = {value!r}: an array of numbers is required") from error
     fits = result.ndim == len(shape) and all(
         want in (None, have) for want, have in zip(shape, result.shape, strict=True)
     )
@@ -83,5 +103,5 @@ def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     """One of the allowed values, else ValueError."""
     if value not in allowed:
-        raise ValueError(f"{name} = {value!r}: one of {', '.join(map(repr, allowed))} is required")
+        raise ValueError(f"{name} = {value!r}: one of {', '.join(map(repr, allowed)) or 'nothing'} is required")
     return value

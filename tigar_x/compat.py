@@ -10,7 +10,8 @@ import hashlib
 import logging
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,12 +61,26 @@ C_FLAGS = [
     f"-DTIGAR_X_PROCESSOR={int(_processor(), 16)}ULL",
 ]
 _JIT = {"cffi_extra_compile_args": C_FLAGS, "timeout": 600}
-_compile_seconds = 0.0
+_compile_seconds = np.zeros(2)
 
 
 def compile_seconds() -> float:
     """Wall seconds that this process has spent in building or loading forms and expressions so far [s]."""
-    return _compile_seconds
+    return float(_compile_seconds[0])
+
+
+def compile_cpu_seconds() -> float:
+    """CPU seconds of this process in the same; a compiler that it waits for is another process [s]."""
+    return float(_compile_seconds[1])
+
+
+@contextmanager
+def _compiling() -> Iterator[None]:
+    start = np.array([time.perf_counter(), time.process_time()])
+    try:
+        yield
+    finally:
+        _compile_seconds[:] += np.array([time.perf_counter(), time.process_time()]) - start
 
 
 def compile_forms(*forms: ufl.Form) -> list[Any]:
@@ -80,13 +95,10 @@ def compile_forms(*forms: ufl.Form) -> list[Any]:
     Returns:
         The compiled dolfinx forms, in the same order.
     """
-    global _compile_seconds
-    start = time.perf_counter()
-    for form in forms:
-        form.signature()
-    compiled = [fem.form(form, jit_params=_JIT) for form in forms]
-    _compile_seconds += time.perf_counter() - start
-    return compiled
+    with _compiling():
+        for form in forms:
+            form.signature()
+        return [fem.form(form, jit_params=_JIT) for form in forms]
 
 
 def interpolate(function: fem.Function, expression: Any) -> None:
@@ -96,11 +108,9 @@ def interpolate(function: fem.Function, expression: Any) -> None:
         function: target, in a Lagrange space.
         expression: UFL expression of the same value shape.
     """
-    global _compile_seconds
-    start = time.perf_counter()
     points = function.function_space.element.interpolation_points()
-    compiled = fem.Expression(expression, points, jit_params=_JIT)
-    _compile_seconds += time.perf_counter() - start
+    with _compiling():
+        compiled = fem.Expression(expression, points, jit_params=_JIT)
     function.interpolate(compiled)
     function.x.scatter_forward()
 
@@ -109,11 +119,8 @@ def interpolate(function: fem.Function, expression: Any) -> None:
 
 
 def _function_space(domain: mesh.Mesh, element: Any) -> fem.FunctionSpace:
-    global _compile_seconds
-    start = time.perf_counter()
-    space = fem.FunctionSpace(domain, element, jit_params=_JIT)
-    _compile_seconds += time.perf_counter() - start
-    return space
+    with _compiling():
+        return fem.FunctionSpace(domain, element, jit_params=_JIT)
 
 
 def _lagrange_element(cell: str, degree: int, discontinuous: bool) -> Any:

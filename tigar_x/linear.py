@@ -5,6 +5,7 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from petsc4py import PETSc
 
@@ -110,12 +111,16 @@ class PreparedSolver:
     def __init__(self, recipe: LinearSolver, A: PETSc.Mat) -> None:
         self.recipe = recipe
         self._A = A
-        self._ksp = self._create(recipe, A)
+        self._pending_options: list[str] = []
         self._direct = "ksp_rtol" not in recipe.options
         self._kept_iterations: int | None = None
         self._fallback: PreparedSolver | None = None
+        self._residual: PETSc.Vec | None = None
 
-    def _create(self, recipe: LinearSolver, A: PETSc.Mat) -> PETSc.KSP:
+    @cached_property
+    def _ksp(self) -> PETSc.KSP:
+        """Made for the first solve, because PETSc's table of options is finite and is cleared after it."""
+        recipe, A = self.recipe, self._A
         ksp = PETSc.KSP().create(A.comm)
         ksp.setOperators(A)
         prefix = f"tigar_x_{next(_prefixes)}_"
@@ -146,7 +151,17 @@ class PreparedSolver:
             return False
         finally:
             self._clear_options()
-        return self._ksp.getConvergedReason() > 0 and math.isfinite(x.norm())
+        if self._ksp.getConvergedReason() <= 0 or not math.isfinite(x.norm()):
+            return False
+        return not self._direct or self._solves(b, x)
+
+    def _solves(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        """Whether a factorisation has reduced the residual at all; that of a singular matrix may not."""
+        if self._residual is None:
+            self._residual = b.duplicate()
+        self._A.mult(x, self._residual)
+        self._residual.axpy(-1.0, b)
+        return bool(self._residual.norm() <= 0.1 * b.norm())
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.
@@ -162,8 +177,11 @@ class PreparedSolver:
         Raises:
             SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
         """
-        if reference is not None and not self._direct:
-            self._ksp.setTolerances(rtol=0.0, atol=float(self.recipe.options["ksp_rtol"]) * reference)
+        if not self._direct:
+            rtol = float(self.recipe.options["ksp_rtol"])
+            self._ksp.setTolerances(
+                rtol=rtol if reference is None else 0.0, atol=1e-300 if reference is None else rtol * reference
+            )
         pc = self._ksp.getPC()
         keep = self.recipe.rebuild_growth is not None and self._kept_iterations is not None
         pc.setReusePreconditioner(keep)
@@ -184,4 +202,4 @@ class PreparedSolver:
         log.warning("%s failed (PETSc reason %d); using %s", self.recipe.name, reason, self.recipe.fallback.name)
         if self._fallback is None:
             self._fallback = PreparedSolver(self.recipe.fallback, self._A)
-        return iterations + self._fallback.solve(b, x)
+        return iterations + self._fallback.solve(b, x, reference)

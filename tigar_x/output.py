@@ -53,7 +53,7 @@ class XDMFSeries(_Series):
     def _prepare(domain: mesh.Mesh, name: str, source: fem.Function, components: Sequence[int]) -> Any:
         size = len(components)
         target = fem.Function(compat.lagrange_space(domain, 1, size), name=name)
-        vertices = domain.topology.dim + 1 if "quad" not in domain.ufl_cell().cellname() else 4
+        vertices = compat.cell_vertices(domain).shape[1]
         to = compat.cell_dofs(target.function_space)[:, :vertices].ravel()
         pairs = []
         for i, component in enumerate(components):
@@ -139,7 +139,7 @@ class VTUSeries(_Series):
             + "".join(self._entries)
             + "  </Collection>\n</VTKFile>\n"
         )
-        replace_text(self._path.with_suffix(".pvd"), index)
+        replace_text(self._path.with_name(self._path.name + ".pvd"), index)
 
 
 class CSVSeries(_Series):

@@ -164,14 +164,17 @@ class Stopwatch:
         self.cpu_s = 0.0
 
     def __enter__(self) -> "Stopwatch":
-        self._start = time.perf_counter(), time.process_time(), compat.compile_seconds()
+        self._start = self._now()
         return self
 
     def __exit__(self, *_: object) -> None:
-        wall, cpu, compiled = self._start
-        spent = compat.compile_seconds() - compiled
-        self.wall_s += time.perf_counter() - wall - spent
-        self.cpu_s += time.process_time() - cpu - spent
+        wall, cpu = self._now()
+        self.wall_s += wall - self._start[0]
+        self.cpu_s += cpu - self._start[1]
+
+    @staticmethod
+    def _now() -> tuple[float, float]:
+        return time.perf_counter() - compat.compile_seconds(), time.process_time() - compat.compile_cpu_seconds()
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,9 @@ def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) 
 
     Returns:
         The summary.
+
+    Raises:
+        ValueError: a result is not finite.
     """
     known = {key: value for key, value in results.items() if value is not None}
     summary = _plain(
@@ -236,9 +242,10 @@ def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) 
             "versions": versions(),
         }
     )
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     if MPI.COMM_WORLD.rank == 0:
         out.mkdir(parents=True, exist_ok=True)
-        replace_text(out / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        replace_text(out / "summary.json", text)
     return dict(summary)
 
 

@@ -64,6 +64,9 @@ def parallelogram(
         raise ValueError(f"origin has {len(corner)} coordinates: 2 or 3 are required")
     if np.linalg.matrix_rank(np.stack([e0, e1])) < 2:
         raise ValueError(f"edge_1 = {e1}: an edge that is not parallel to edge_0 = {e0} is required")
+    for name, pair in (("elements", elements), ("degrees", degrees)):
+        if len(pair) != 2:
+            raise ValueError(f"{name} = {pair}: one number for each of the 2 directions is required")
     bases = [_uniform(p, n) for p, n in zip(degrees, elements, strict=True)]
     s, t = np.meshgrid(bases[0].greville, bases[1].greville, indexing="ij")
     points = corner + s.ravel(order="F")[:, None] * e0 + t.ravel(order="F")[:, None] * e1

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct, gmres_ilu  # noqa: F401
+from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
 
 if TYPE_CHECKING:
     from tigar_x.spline import ExtractedSpline

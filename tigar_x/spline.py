@@ -117,7 +117,8 @@ class ExtractedSpline:
         areas, cell_areas = compat.create_vector(self.V_scalar), compat.create_vector(cells)
         compat.assemble_vector(cell_areas, cell_form)
         worst = np.nan_to_num(cell_areas.array_r, nan=0.0).min(initial=np.inf)
-        if not self.mesh.comm.allreduce(worst, op=MPI.MIN) > 0.0:
+        rounding = 1e-14 * np.abs(self.patch.points).max() ** self.patch.dim
+        if not self.mesh.comm.allreduce(worst, op=MPI.MIN) > rounding:
             raise ValueError("patch has an element of zero length or area: distinct control points are required")
         compat.assemble_vector(areas, node_form)
         areas.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
@@ -185,7 +186,8 @@ class ExtractedSpline:
         Returns:
             Homogeneous field u^h with ``int (u^h/w) . (v^h/w) = int f . (v^h/w)`` for all v^h.
         """
-        from tigar_x.solve import SplineSystem, direct
+        from tigar_x.linear import direct
+        from tigar_x.solve import SplineSystem
 
         u, v = ufl.TrialFunction(self.V), ufl.TestFunction(self.V)
         mass = ufl.inner(self.rationalize(u), self.rationalize(v)) * self.dx

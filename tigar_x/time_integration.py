@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import ufl
 from dolfinx import fem
 
@@ -152,9 +151,8 @@ class TimeIntegrator:
             self.xddot_old = fem.Function(V, name=f"{x.name}_ddot_old")
             if xddot is not None:
                 self.xddot_old.x.array[:] = xddot.x.array
-        size = int(np.prod(x.ufl_shape, dtype=int))
         for component in algebraic:
-            checks.choice("algebraic", component, tuple(range(size)))
+            checks.choice("algebraic", component, tuple(range(x.ufl_shape[0])) if x.ufl_shape else ())
         self._algebraic = frozenset(algebraic)
 
         names = ("alpha_f", "alpha_m", "a0", "a1", "a2", "b0", "b1")
@@ -276,8 +274,9 @@ class TimeIntegrator:
         """What a consistent start has to solve.
 
         With a zero initial rate a scheme with rho_infinity < 1 is only first-order accurate. The returned form is the
-        given residual at t_n as a function of the highest rate and of the algebraic components. Solve it, then hand
-        its unknown to :meth:`start`.
+        given residual at t_n as a function of the highest rate and of the algebraic components, which the equations
+        must determine (a stabilised flow does; a constraint without the algebraic component, as in Taylor-Hood
+        elements, does not). Solve it, then hand its unknown to :meth:`start`.
 
         Args:
             residual: residual built from this integrator's expressions.

@@ -30,7 +30,7 @@ def weak_dirichlet(
     rho: Any,
     mu: Any,
     symmetric: bool = True,
-    penalty: float | None = None,
+    penalty: Any = None,
 ) -> ufl.Form:
     """Weakly imposed velocity v = g (Nitsche's method with inflow term).
 
@@ -51,8 +51,10 @@ def weak_dirichlet(
         Residual form.
 
     Raises:
-        ValueError: a negative penalty, or g of a wrong shape.
+        ValueError: rho, mu or penalty out of range, or g of a wrong shape.
     """
+    checks.parameter("rho", rho, checks.positive)
+    checks.parameter("mu", mu, checks.not_negative)
     if g.ufl_shape != v.ufl_shape:
         raise ValueError(f"g has shape {g.ufl_shape}: shape {v.ufl_shape} is required")
     n = ufl.FacetNormal(domain)
@@ -62,13 +64,14 @@ def weak_dirichlet(
     R -= ufl.inner(2 * mu * sign * ufl.sym(ufl.grad(w)) * n + q * n, jump)
     P = 1e3 if penalty is None and symmetric else penalty
     if P is not None:
-        strength = checks.not_negative("penalty", P) * mu * ufl.sqrt(ufl.dot(n, element_metric(domain) * n))
+        checks.parameter("penalty", P, checks.not_negative)
+        strength = P * mu * ufl.sqrt(ufl.dot(n, element_metric(domain) * n))
         R += strength * ufl.inner(jump, w)
     return R * ds
 
 
 def stable_neumann(
-    v: Any, w: Any, domain: Any, ds: Any, *, rho: Any, traction: Any = None, g: Any = None, gamma: float = 1.0
+    v: Any, w: Any, domain: Any, ds: Any, *, rho: Any, traction: Any = None, g: Any = None, gamma: Any = 1.0
 ) -> ufl.Form:
     """Traction on an open boundary, stabilised where the flow comes back in.
 
@@ -86,9 +89,10 @@ def stable_neumann(
         Residual form.
 
     Raises:
-        ValueError: a negative gamma.
+        ValueError: rho or gamma out of range.
     """
-    checks.not_negative("gamma", gamma)
+    checks.parameter("rho", rho, checks.positive)
+    checks.parameter("gamma", gamma, checks.not_negative)
     n = ufl.FacetNormal(domain)
     R = -gamma * rho * _inflow(v, n) * ufl.inner(v if g is None else v - g, w)
     if traction is not None:
