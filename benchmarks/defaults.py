@@ -39,7 +39,7 @@ def run(
     """One row: what it cost and its errors (degree-8 quadrature), or why it failed."""
     chosen = replace(demo.Data(), **data)
     steps = max(1, round(2 * demo.cells_per_side(level) / dt_factor))
-    fsi = demo.build(level, steps, options, solver, projected=projected, data=chosen)
+    fsi = demo.build(2, level, steps, options, solver, projected=projected, data=chosen)
     watch, reports = script.Stopwatch(), []
     try:
         with watch:

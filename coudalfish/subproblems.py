@@ -42,9 +42,10 @@ class FluidSubproblem:
         updates: called with t_alpha at the start of every step, for data that are not UFL expressions in time.
         density: rho, needed by a penalty rule; unit: mass/volume.
         viscosity: mu, needed by a penalty rule.
+        mesh_size: size h of the cells near the surface, for a penalty rule and for warnings; None: see below.
 
     Attributes:
-        mesh_size: median over the cells of (d! volume)^(1/d): the leg of a right simplex; unit: length.
+        mesh_size: h, as given or the median over the cells of their shortest edges; unit: length.
 
     Raises:
         ValueError: the unknown has not d + 1 components.
@@ -63,6 +64,7 @@ class FluidSubproblem:
         updates: Sequence[Callable[[float], None]] = (),
         density: float | None = None,
         viscosity: float | None = None,
+        mesh_size: float | None = None,
     ) -> None:
         self.mesh = mesh_f
         self.comm = mesh_f.comm
@@ -78,7 +80,7 @@ class FluidSubproblem:
         components = [compat.component_space(V, i) for i in range(d)]
         self.velocity_space = components[0][0]
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])
-        self.mesh_size = self._median_size()
+        self.mesh_size = self._median_size() if mesh_size is None else checks.positive("mesh_size", mesh_size)
 
         self.system = FiniteElementSystem(residual_f, timeInt_f.x, bcs, tangent=tangent, solver=solver)
         self._free = ~np.isin(self.velocity_dofs, self.system.constrained)
@@ -91,8 +93,9 @@ class FluidSubproblem:
 
     def _median_size(self) -> float:
         x = compat.cell_vertices(self.mesh)[: compat.owned_cells(self.mesh)]
-        sizes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) ** (1.0 / self.mesh.geometry.dim)
-        return float(np.median(np.concatenate(self.comm.allgather(sizes))))
+        edges = x[:, :, None, :] - x[:, None, :, :]
+        lengths = np.linalg.norm(edges, axis=-1)[:, *np.triu_indices(x.shape[1], 1)]
+        return float(np.median(np.concatenate(self.comm.allgather(lengths.min(axis=1, initial=np.inf)))))
 
     def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""

@@ -10,6 +10,9 @@ Body forces on both sides and a load on the membrane make this an exact solution
 
 Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
 section 5.3.1, doi:10.1016/j.camwa.2020.01.023.
+
+In three dimensions the square is extruded by H with one layer of cells and slip on its top and bottom, as in the
+source. All norms are per unit depth.
 """
 
 from dataclasses import dataclass
@@ -32,6 +35,7 @@ from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet
+from varmint.mesh import facet_measure
 from varmint.space import equal_order_space, split
 from varmint.vms import interior_residual
 
@@ -52,6 +56,7 @@ class Data:
     """The problem's data; consistent units."""
 
     L: float = 1.0
+    H: float = 0.25
     V: float = 1.0
     DP: float = 1.0
     T: float = 1.0
@@ -70,10 +75,15 @@ def constants(domain: mesh.Mesh, data: Data) -> SimpleNamespace:
     return SimpleNamespace(**{name: fem.Constant(domain, float(value)) for name, value in vars(data).items()})
 
 
+def unit(i: int, d: int) -> Any:
+    """Unit vector e_(i+1) in d dimensions."""
+    return ufl.as_vector([float(i == j) for j in range(d)])
+
+
 def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
     """Velocity u, pressure p and body force per mass f, each chosen by side, and grad(u) taken side by side."""
     Y, dY = c.L * x[1] - x[1] ** 2, c.L - 2 * x[1]
-    e_1, e_2 = ufl.as_vector([1.0, 0.0]), ufl.as_vector([0.0, 1.0])
+    e_1, e_2 = unit(0, len(x)), unit(1, len(x))
     S = c.V * (x[0] - c.L / 2 - c.V * t * Y) / c.L
     u_left = c.V * Y * e_1
     u_right = u_left + S * (c.V * t * dY * e_1 + e_2)
@@ -83,7 +93,7 @@ def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
     def force(u: Any, rate: Any) -> Any:
         return rate + ufl.grad(u) * u - ufl.div(2 * c.mu / c.rho * ufl.sym(ufl.grad(u)))
 
-    f_left, f_right = force(u_left, ufl.zero(2)), force(u_right, rate_right)
+    f_left, f_right = force(u_left, ufl.zero(len(x))), force(u_right, rate_right)
     return SimpleNamespace(
         u=ufl.conditional(left, u_left, u_right),
         p=ufl.conditional(left, 0.0, -c.DP),
@@ -94,7 +104,7 @@ def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
 
 def exact_displacement(X: Any, t: Any, c: Any) -> Any:
     """Displacement of the membrane."""
-    return c.V * t * (c.L * X[1] - X[1] ** 2) * ufl.as_vector([1.0, 0.0])
+    return c.V * t * (c.L * X[1] - X[1] ** 2) * unit(0, len(X))
 
 
 def membrane_load(X: Any, t: Any, c: Any) -> Any:
@@ -103,8 +113,9 @@ def membrane_load(X: Any, t: Any, c: Any) -> Any:
     g = 1 + (a * dY) ** 2
     K = c.youngs_modulus * c.thickness / (1 - c.poisson_ratio**2)
     shear = c.mu * g * c.V / c.L
-    traction = c.DP * ufl.as_vector([1, -a * dY]) + shear * ufl.as_vector([a * dY, 1])
-    elastic = ufl.as_vector([(1.5 * K * a**3 * dY**2 + c.prestress * a) * ddY, K * a**2 * dY * ddY])
+    e_1, e_2 = unit(0, len(X)), unit(1, len(X))
+    traction = c.DP * (e_1 - a * dY * e_2) + shear * (a * dY * e_1 + e_2)
+    elastic = (1.5 * K * a**3 * dY**2 + c.prestress * a) * ddY * e_1 + K * a**2 * dY * ddY * e_2
     return -elastic - traction
 
 
@@ -119,14 +130,14 @@ def project(function: fem.Function, expression: Any) -> None:
 
 
 def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver) -> FluidSubproblem:
-    """The flow: VMS interior, weak Dirichlet conditions on all sides, pressure pinned at the origin."""
-    c = constants(domain, data)
+    """The flow: VMS interior, weak Dirichlet conditions on four sides, slip on an extrusion's ends, pressure pinned."""
+    c, d = constants(domain, data), domain.geometry.dim
     V = equal_order_space(domain)
     w = fem.Function(V, name="w")
-    time = TimeIntegrator(w, dt, generalized_alpha(data.rho_infinity), algebraic=(2,))
+    time = TimeIntegrator(w, dt, generalized_alpha(data.rho_infinity), algebraic=(d,))
     x = ufl.SpatialCoordinate(domain)
     start = exact_flow(x, 0.0, c)
-    project(w, ufl.as_vector([start.u[0], start.u[1], start.p]))
+    project(w, ufl.as_vector([*start.u, start.p]))
     time.x_old.x.array[:] = w.x.array
 
     band = SurfaceBand(domain)
@@ -146,33 +157,51 @@ def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver) -
         scale_m=band.scale_m,
         scale_c=band.scale_c,
     )
-    ds = ufl.ds(domain=domain, metadata={"quadrature_degree": 2})
+    ds = facet_measure(domain, *on_sides(data), quadrature_degree=2)
     residual += weak_dirichlet(v, p, z, q, exact.u, domain, ds, rho=c.rho, mu=c.mu)
-    pin = compat.pin_component(V, 2, lambda x: np.isclose(x[0], 0.0, atol=1e-6) & np.isclose(x[1], 0.0, atol=1e-6))
+    bcs = [compat.pin_component(V, d, lambda x: np.abs(x).max(axis=0) < 1e-6 * data.L)]
+    if d == 3:
+        bcs.append(compat.pin_component(V, 2, lambda x: on_extrusion_ends(x, data)))
     return FluidSubproblem(
-        domain, residual, time, bcs=[pin], band=band, solver=solver, density=data.rho, viscosity=data.mu
+        domain, residual, time, bcs=bcs, band=band, solver=solver, density=data.rho, viscosity=data.mu
     )
 
 
-def make_membrane(data: Data, elements: int, dt: float, projected: bool) -> ShellSubproblem:
-    """The membrane: linear B-splines, fixed ends, no bending."""
-    patch = shapes.line((data.L / 2, 0.0), (data.L / 2, data.L), elements=elements)
-    ends = np.concatenate([patch.side_dofs(0, 0), patch.side_dofs(0, 1)])
-    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=ends)
+def on_extrusion_ends(x: Any, data: Data) -> Any:
+    """Mask of the points on x_3 = 0 and x_3 = H."""
+    return np.isclose(x[2], 0.0, atol=1e-6 * data.L) | np.isclose(x[2], data.H, atol=1e-6 * data.L)
+
+
+def on_sides(data: Data) -> list[Any]:
+    """Masks of the points on the four sides x_1, x_2 = 0, L, one function for each."""
+    places = [(i, value) for i in (0, 1) for value in (0.0, data.L)]
+    return [lambda x, i=i, value=value: np.isclose(x[i], value, atol=1e-6 * data.L) for i, value in places]
+
+
+def make_membrane(data: Data, d: int, elements: int, dt: float, projected: bool) -> ShellSubproblem:
+    """The membrane: linear B-splines, fixed ends, no bending; nothing moves along the direction of an extrusion."""
+    corner = (data.L / 2, 0.0, 0.0)
+    if d == 2:
+        patch = shapes.line(corner[:2], (data.L / 2, data.L), elements=elements)
+    else:
+        sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
+        patch = shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
+    fixed = [patch.side_dofs(0, 0), patch.side_dofs(0, 1), np.arange(2, d * patch.basis.n, 3) if d == 3 else []]
+    zero_dofs = np.concatenate(fixed).astype(int)
+    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
     c = constants(spline.mesh, data)
     speed = exact_displacement(spline.F, 1.0, c)
     if projected:
         velocity = spline.project(speed)
     else:
         s = patch.points[:, 1]
-        velocity = spline.function(np.column_stack([data.V * (data.L * s - s**2), 0.0 * s]))
+        velocity = spline.function(np.outer(data.V * (data.L * s - s**2), np.eye(d)[0]))
 
     y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
     scheme = generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True)
     time = TimeIntegrator(y, dt, scheme, xdot=velocity)
-    material = StVenantKirchhoff(
-        c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=(c.prestress,), bending=False
-    )
+    prestress = (c.prestress,) if d == 2 else (c.prestress, 0.0, 0.0)
+    material = StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=prestress, bending=False)
     residual = virtual_work(spline, lambda y: strain_energy(spline, material, y), time.x_alpha, z)
     residual += inertia(spline, time.xddot_alpha, z, density=c.rho_s, thickness=c.thickness)
     residual += dead_load(spline, membrane_load(spline.F, time.t_alpha, c), z)
@@ -180,15 +209,18 @@ def make_membrane(data: Data, elements: int, dt: float, projected: bool) -> Shel
 
 
 def build(
-    level: int, steps: int, options: CouplingOptions, solver: LinearSolver, *, projected: bool, data: Data
+    d: int, level: int, steps: int, options: CouplingOptions, solver: LinearSolver, *, projected: bool, data: Data
 ) -> CouDALFISh:
     """The scene at a refinement level, before its first step."""
     N, dt = cells_per_side(level), data.T / steps
     slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
-    corners = [np.full(2, -slack), np.full(2, data.L + slack)]
-    domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
+    corners = np.array([[-slack] * 3, [data.L + slack, data.L + slack, data.H + slack]])[:, :d]
+    if d == 2:
+        domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
+    else:
+        domain = mesh.create_box(MPI.COMM_WORLD, corners, [N, N, 1], mesh.CellType.tetrahedron)
     fluid = make_fluid(domain, data, dt, solver)
-    membrane = make_membrane(data, 2 ** (level + 3), dt, projected)
+    membrane = make_membrane(data, d, 2 ** (level + 3), dt, projected)
     return CouDALFISh(fluid, membrane, options, multiplier=data.DP)
 
 
@@ -198,7 +230,7 @@ def cells_per_side(level: int) -> int:
 
 
 def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, float]:
-    """Norms of the errors at time t; the gradient is compared side by side."""
+    """Norms of the errors at time t per unit depth; the gradient is compared side by side."""
     domain, spline = fsi.mesh_f, fsi.spline_sh
     (v, p), y = split(fsi.timeInt_f.x), fsi.timeInt_sh.x
     exact = exact_flow(ufl.SpatialCoordinate(domain), t, constants(domain, data))
@@ -212,11 +244,12 @@ def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, floa
         ufl.inner(spline.grad(e_y), spline.grad(e_y)) * spline.dx,
     )
     names = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
-    return {name: compat.assemble_scalar(form) ** 0.5 for name, form in zip(names, forms, strict=True)}
+    depth = 1.0 if domain.geometry.dim == 2 else data.H
+    return {name: (compat.assemble_scalar(form) / depth) ** 0.5 for name, form in zip(names, forms, strict=True)}
 
 
 def main(
-    dim: Literal[2] = 2,
+    dim: Literal[2, 3] = 2,
     level: int = 2,
     preset: Literal["reference", "default"] = "default",
     dt_factor: float = 1.0,
@@ -227,7 +260,7 @@ def main(
     """Run the manufactured fluid-membrane benchmark and check it against its exact solution.
 
     Args:
-        dim: dimension of space.
+        dim: dimension of space, 2 or 3 (one layer).
         level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
         preset: the published algorithm, or this library's defaults.
         dt_factor: time step relative to the published one, T/(2 N).
@@ -245,7 +278,7 @@ def main(
     steps = max(1, round(2 * cells_per_side(level) / factor))
     options = CouplingOptions.reference() if reference else CouplingOptions()
     solver = direct() if reference else gmres_ilu(1)
-    fsi = build(level, steps, options, solver, projected=start == "projected", data=data)
+    fsi = build(dim, level, steps, options, solver, projected=start == "projected", data=data)
 
     watch, progress = script.Stopwatch(), script.Progress(steps)
     reports, memory = [], []
@@ -281,8 +314,8 @@ def main(
         block_iterations_mean=float(np.mean(passes)),
         block_iterations_max=max(passes),
         linear_iterations_mean=float(np.mean([report.linear_iterations for report in reports])),
-        dofs_fluid=fsi.timeInt_f.x.function_space.dofmap.index_map.size_global * 3,
-        dofs_shell=fsi.spline_sh.patch.basis.n * 2,
+        dofs_fluid=fsi.timeInt_f.x.function_space.dofmap.index_map.size_global * (dim + 1),
+        dofs_shell=fsi.spline_sh.patch.basis.n * dim,
         wall_s=watch.wall_s,
         cpu_s=watch.cpu_s,
         rss_mib_step_10=memory[min(9, len(memory) - 1)],
@@ -310,9 +343,9 @@ class Pictures:
     """ParaView files and histories of the run, and a picture at its end."""
 
     def __init__(self, out: Path, fsi: CouDALFISh) -> None:
-        w, time = fsi.timeInt_f.x, fsi.timeInt_sh
+        w, time, d = fsi.timeInt_f.x, fsi.timeInt_sh, fsi.mesh_f.geometry.dim
         self._out = out
-        self._fluid = XDMFSeries(out / "fluid.xdmf", fsi.mesh_f, velocity=(w, (0, 1)), pressure=(w, (2,)))
+        self._fluid = XDMFSeries(out / "fluid.xdmf", fsi.mesh_f, velocity=(w, tuple(range(d))), pressure=(w, (d,)))
         self._shell = VTUSeries(
             out / "shell",
             fsi.spline_sh,
@@ -321,7 +354,8 @@ class Pictures:
             multiplier=lambda: fsi.lam,
             normal=fsi.shell.normals,
         )
-        self._history = CSVSeries(out / "history.csv", ("passes", "normal_slip_rms", "leak", "force_1", "force_2"))
+        forces = tuple(f"force_{i + 1}" for i in range(d))
+        self._history = CSVSeries(out / "history.csv", ("passes", "normal_slip_rms", "leak", *forces))
 
     def write(self, report: Any) -> None:
         """Append the present state."""
@@ -339,10 +373,9 @@ class Pictures:
 
 def draw(path: Path, data: Data, fsi: CouDALFISh) -> None:
     """Final pressure with streamlines, and the membrane's displacement against the exact one."""
-    domain, w = fsi.mesh_f, fsi.timeInt_f.x
-    cells, space = compat.cell_vertices(domain)[: compat.owned_cells(domain)], w.function_space
-    values = w.x.array.reshape(-1, 3)[compat.cell_dofs(space)[: compat.owned_cells(domain)]]
-    parts = domain.comm.gather((cells, values))
+    w, d = fsi.timeInt_f.x, fsi.mesh_f.geometry.dim
+    x, owned = w.function_space.tabulate_dof_coordinates(), w.function_space.dofmap.index_map.size_local
+    parts = fsi.mesh_f.comm.gather((x[:owned], w.x.array.reshape(-1, d + 1)[:owned]))
     if parts is None:
         return
     import matplotlib
@@ -351,23 +384,24 @@ def draw(path: Path, data: Data, fsi: CouDALFISh) -> None:
     from matplotlib import pyplot as plt
     from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-    x, f = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    corners, index = np.unique(x.reshape(-1, 2).round(9), axis=0, return_inverse=True)
-    nodal = np.empty((len(corners), 3))
-    nodal[index.ravel()] = f.reshape(-1, 3)
-    triangles = Triangulation(*corners.T, index.reshape(-1, 3))
+    x, nodal = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    plane = np.isclose(x[:, 2], x[:, 2].min())
+    x, nodal = x[plane], nodal[plane]
+    triangles = Triangulation(x[:, 0], x[:, 1])
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
     shade = left.tripcolor(
-        triangles, nodal[:, 2], shading="gouraud", cmap="RdBu_r", vmin=-1.5 * data.DP, vmax=0.5 * data.DP
+        triangles, nodal[:, d], shading="gouraud", cmap="RdBu_r", vmin=-1.5 * data.DP, vmax=0.5 * data.DP
     )
     figure.colorbar(shade, ax=left, label="pressure")
     g = np.linspace(0.0, data.L, 60)
     grid = np.meshgrid(g, g)
     u, v = (np.asarray(LinearTriInterpolator(triangles, nodal[:, i])(*grid)) for i in (0, 1))
     left.streamplot(g, g, u, v, density=1.1, color="0.25", linewidth=0.6, arrowsize=0.7)
-    order = np.argsort(fsi.spline_sh.node_positions[:, 1])
-    X = fsi.spline_sh.node_positions[order]
+    X = fsi.spline_sh.node_positions
+    order = np.argsort(X[:, 1])
+    order = order[X[order, -1] == 0.0] if d == 3 else order
+    X = X[order]
     y = fsi.spline_sh.nodal(fsi.timeInt_sh.x)[order]
     left.plot(X[:, 0] + y[:, 0], X[:, 1] + y[:, 1], "k-", linewidth=2.0, label="membrane")
     left.set(aspect="equal", xlim=(0, data.L), ylim=(0, data.L), xlabel="$x_1$", ylabel="$x_2$")
