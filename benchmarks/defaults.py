@@ -57,7 +57,7 @@ def studies() -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
     yield (
         "presets, level 4",
         [
-            run("reference", CouplingOptions.reference(), direct(), level=4, projected=True),
+            run("reference", CouplingOptions.reference(), level=4, projected=True),
             run("default", level=4),
             run("default, dt x 2", level=4, dt_factor=2),
         ],

@@ -94,7 +94,6 @@ class CouplingOptions:
             fluid_tangent="lumped",
             normal="iterate",
             stopping="published",
-            tangent_update="pass",
             block_rtol=1e-3,
             block_atol=0.0,
         )

@@ -29,7 +29,7 @@ from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubpro
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
-from tigar_x.linear import LinearSolver, direct, gmres_ilu
+from tigar_x.linear import LinearSolver, automatic, direct
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
 from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
@@ -209,9 +209,16 @@ def make_membrane(data: Data, d: int, elements: int, dt: float, projected: bool)
 
 
 def build(
-    d: int, level: int, steps: int, options: CouplingOptions, solver: LinearSolver, *, projected: bool, data: Data
+    d: int,
+    level: int,
+    steps: int,
+    options: CouplingOptions,
+    solver: LinearSolver | None = None,
+    *,
+    projected: bool,
+    data: Data,
 ) -> CouDALFISh:
-    """The scene at a refinement level, before its first step."""
+    """The scene at a refinement level, before its first step; without a solver, one by size is taken."""
     N, dt = cells_per_side(level), data.T / steps
     slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
     corners = np.array([[-slack] * 3, [data.L + slack, data.L + slack, data.H + slack]])[:, :d]
@@ -219,7 +226,8 @@ def build(
         domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
     else:
         domain = mesh.create_box(MPI.COMM_WORLD, corners, [N, N, 1], mesh.CellType.tetrahedron)
-    fluid = make_fluid(domain, data, dt, solver)
+    vertices = domain.topology.index_map(0).size_global
+    fluid = make_fluid(domain, data, dt, automatic((d + 1) * vertices) if solver is None else solver)
     membrane = make_membrane(data, d, 2 ** (level + 3), dt, projected)
     return CouDALFISh(fluid, membrane, options, multiplier=data.DP)
 
@@ -277,8 +285,7 @@ def main(
     start = initial_velocity or ("projected" if reference else "interpolated")
     steps = max(1, round(2 * cells_per_side(level) / factor))
     options = CouplingOptions.reference() if reference else CouplingOptions()
-    solver = direct() if reference else gmres_ilu(1)
-    fsi = build(dim, level, steps, options, solver, projected=start == "projected", data=data)
+    fsi = build(dim, level, steps, options, projected=start == "projected", data=data)
 
     watch, progress = script.Stopwatch(), script.Progress(steps)
     reports, memory = [], []

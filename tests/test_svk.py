@@ -256,38 +256,6 @@ def test_ways_to_give_a_parameter():
     np.testing.assert_allclose(energies, energies[0], rtol=1e-13)
 
 
-LIMITS = {
-    "youngs_modulus": (0.0, -1.0, np.nan, np.inf),
-    "thickness": (0.0, -0.1, np.nan),
-    "poisson_ratio": (-1.0, 0.51, np.nan),
-    "prestress": (np.nan, np.inf),
-    "bending_prestress": (np.nan, np.inf),
-}
-
-
-@pytest.mark.parametrize("constant", [False, True], ids=["number", "Constant"])
-@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in LIMITS.items() for value in values])
-def test_parameters_out_of_range(name, value, constant):
-    given = [value] if "prestress" in name else value
-    given = fem.Constant(spline_of(curve_patch()).mesh, np.asarray(given)) if constant else given
-    with pytest.raises(ValueError, match=rf"^{name}.* = .*{value:.4g}.* required"):
-        StVenantKirchhoff(**(VALUES[1] | {name: given}))
-
-
-@pytest.mark.parametrize("name", ["prestress", "bending_prestress"])
-@pytest.mark.parametrize(("dim", "length"), [(1, 2), (2, 1), (2, 4)])
-def test_prestress_of_a_wrong_length(dim, name, length):
-    spline = spline_of(curve_patch() if dim == 1 else plate())
-    material = StVenantKirchhoff(**(VALUES[dim] | {name: length * (1.0,)}))
-    with pytest.raises(ValueError, match=rf"^{name} has shape \({length},\): shape \({2 * dim - 1},\) is required"):
-        strain_energy(spline, material, spline.function())
-
-
-def test_a_membrane_takes_no_moments():
-    with pytest.raises(ValueError, match="bending_prestress is given with bending = False"):
-        StVenantKirchhoff(1.0, 0.3, 0.1, bending_prestress=(1.0,), bending=False)
-
-
 @PATCHES
 def test_total_load_and_mass(patch):
     """Tested with a constant field, loads give their resultant and inertia mass times acceleration."""

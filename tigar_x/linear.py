@@ -14,6 +14,9 @@ from tigar_x import checks
 log = logging.getLogger(__name__)
 _prefixes = itertools.count()
 
+SMALL = 1000
+"""Unknowns below which a direct solver is the cheaper one for a flow."""
+
 
 class SolveError(RuntimeError):
     """A linear or nonlinear solve that gave no usable answer."""
@@ -98,6 +101,18 @@ def gmres_ilu(
     options.update({f"sub_{key}": value for key, value in ilu.items()})
     last_resort = direct() if fallback is None else fallback
     return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, last_resort)
+
+
+def automatic(unknowns: int) -> LinearSolver:
+    """Recipe for a stabilised equal-order flow, by size: MUMPS while it is the cheaper one, then GMRES with ILU(1).
+
+    Args:
+        unknowns: global number of unknowns.
+
+    Returns:
+        The recipe.
+    """
+    return direct() if checks.whole("unknowns", unknowns, 1) < SMALL else gmres_ilu(1)
 
 
 class PreparedSolver:
