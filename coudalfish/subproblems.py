@@ -16,7 +16,7 @@ from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.extraction import subcells
-from tigar_x.linear import LinearSolver
+from tigar_x.linear import LinearSolver, automatic
 from tigar_x.quadrature import NodalQuadrature
 from tigar_x.solve import FiniteElementSystem, SplineSystem
 from tigar_x.spline import ExtractedSpline
@@ -37,7 +37,7 @@ class FluidSubproblem:
         timeInt_f: integrator of the unknown (velocity, pressure), with the pressure algebraic.
         bcs: strong boundary conditions.
         band: the band whose scales the residual contains; None: the residual contains none.
-        solver: linear solver recipe; None: direct.
+        solver: linear solver recipe; None: by size and layout, see :func:`tigar_x.linear.automatic`.
         tangent: UFL tangent; None: the derivative of the residual.
         updates: called with t_alpha at the start of every step, for data that are not UFL expressions in time.
         density: rho, needed by a penalty rule; unit: mass/volume.
@@ -82,7 +82,9 @@ class FluidSubproblem:
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])
         self.mesh_size = self._median_size() if mesh_size is None else checks.positive("mesh_size", mesh_size)
 
-        self.system = FiniteElementSystem(residual_f, timeInt_f.x, bcs, tangent=tangent, solver=solver)
+        size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
+        recipe = automatic(size * block, blocked=block > 1) if solver is None else solver
+        self.system = FiniteElementSystem(residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe)
         self._free = ~np.isin(self.velocity_dofs, self.system.constrained)
         owned = self.system.b.getLocalSize()
         self._is_velocity = np.zeros(owned)

@@ -29,7 +29,7 @@ from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubpro
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
-from tigar_x.linear import LinearSolver, automatic, direct
+from tigar_x.linear import LinearSolver, direct
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
 from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
@@ -129,7 +129,7 @@ def project(function: fem.Function, expression: Any) -> None:
     system.subtract(system.solve())
 
 
-def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver) -> FluidSubproblem:
+def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver | None) -> FluidSubproblem:
     """The flow: VMS interior, weak Dirichlet conditions on four sides, slip on an extrusion's ends, pressure pinned."""
     c, d = constants(domain, data), domain.geometry.dim
     V = equal_order_space(domain)
@@ -218,7 +218,7 @@ def build(
     projected: bool,
     data: Data,
 ) -> CouDALFISh:
-    """The scene at a refinement level, before its first step; without a solver, one by size is taken."""
+    """The scene at a refinement level, before its first step."""
     N, dt = cells_per_side(level), data.T / steps
     slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
     corners = np.array([[-slack] * 3, [data.L + slack, data.L + slack, data.H + slack]])[:, :d]
@@ -226,8 +226,7 @@ def build(
         domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
     else:
         domain = mesh.create_box(MPI.COMM_WORLD, corners, [N, N, 1], mesh.CellType.tetrahedron)
-    vertices = domain.topology.index_map(0).size_global
-    fluid = make_fluid(domain, data, dt, automatic((d + 1) * vertices) if solver is None else solver)
+    fluid = make_fluid(domain, data, dt, solver)
     membrane = make_membrane(data, d, 2 ** (level + 3), dt, projected)
     return CouDALFISh(fluid, membrane, options, multiplier=data.DP)
 

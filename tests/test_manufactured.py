@@ -83,7 +83,6 @@ def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
 def test_every_number_of_ranks_gives_the_same_errors(tmp_path, monkeypatch):
     """With direct solves and tight blocks the errors do not depend on the ranks; the figures are those of one rank."""
     monkeypatch.setattr(DEMO, "CouplingOptions", lambda: CouplingOptions(block_rtol=1e-11, block_atol=1e-14))
-    monkeypatch.setattr(DEMO, "automatic", lambda unknowns: DEMO.direct())
     parallel = DEMO.main(level=1, out=tmp_path, viz=False)["errors"]
     monkeypatch.setattr(DEMO, "MPI", SelfOnly)
     alone = DEMO.main(level=1, out=tmp_path, viz=False)["errors"]

@@ -18,6 +18,7 @@ from typing import Any
 import dolfinx
 import numpy as np
 import ufl
+import ufl.sorting
 from basix.ufl_wrapper import convert_ufl_element
 from dolfinx import fem, geometry, mesh
 from mpi4py import MPI
@@ -29,6 +30,10 @@ log = logging.getLogger(__name__)
 VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
 if VERSION != (0, 5):
     raise ImportError(f"dolfinx {dolfinx.__version__} was found; this release runs on dolfinx 0.5 (Debian 12)")
+
+# UFL 2022.2 orders Constants by their printed count, so that 100 comes before 99 and the cache key of a form depends on
+# how many Constants a process made before it; by number the order is stable.
+ufl.sorting._terminal_cmps[ufl.Constant._ufl_typecode_] = ufl.sorting._cmp_coefficient
 
 IntArray = NDArray[np.int32]
 FloatArray = NDArray[np.float64]

@@ -15,7 +15,7 @@ log = logging.getLogger(__name__)
 _prefixes = itertools.count()
 
 SMALL = 1000
-"""Unknowns below which a direct solver is the cheaper one for a flow."""
+"""Unknowns below which a direct solver costs next to nothing, whatever the matrix."""
 
 
 class SolveError(RuntimeError):
@@ -103,16 +103,19 @@ def gmres_ilu(
     return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, last_resort)
 
 
-def automatic(unknowns: int) -> LinearSolver:
-    """Recipe for a stabilised equal-order flow, by size: MUMPS while it is the cheaper one, then GMRES with ILU(1).
+def automatic(unknowns: int, *, blocked: bool) -> LinearSolver:
+    """Recipe by size and layout: MUMPS for small or mixed systems, GMRES with block ILU(1) for others.
 
     Args:
         unknowns: global number of unknowns.
+        blocked: whether all components live at the same nodes, as in a stabilised equal-order flow; a mixed system may
+            have zeros on its diagonal, which incomplete factors do not bear.
 
     Returns:
         The recipe.
     """
-    return direct() if checks.whole("unknowns", unknowns, 1) < SMALL else gmres_ilu(1)
+    small = checks.whole("unknowns", unknowns, 1) < SMALL
+    return gmres_ilu(1) if blocked and not small else direct()
 
 
 class PreparedSolver:

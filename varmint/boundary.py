@@ -89,10 +89,13 @@ def stable_neumann(
         Residual form.
 
     Raises:
-        ValueError: rho or gamma out of range.
+        ValueError: rho or gamma out of range, traction or g of a wrong shape.
     """
     checks.parameter("rho", rho, checks.positive)
     checks.parameter("gamma", gamma, checks.not_negative)
+    for name, field in (("traction", traction), ("g", g)):
+        if field is not None and field.ufl_shape != v.ufl_shape:
+            raise ValueError(f"{name} has shape {field.ufl_shape}: shape {v.ufl_shape} is required")
     n = ufl.FacetNormal(domain)
     R = -gamma * rho * _inflow(v, n) * ufl.inner(v if g is None else v - g, w)
     if traction is not None:

@@ -171,11 +171,16 @@ def interior_residual(
         Residual form.
 
     Raises:
-        ValueError: rho or mu out of range, v of a wrong shape, v_t without dt or dt without v_t.
+        ValueError: a number out of range, v or f of a wrong shape, v_t without dt or dt without v_t.
     """
     checks.parameter("rho", rho, checks.positive)
     checks.parameter("mu", mu, checks.not_negative)
     k = checks.whole("degree", degree, 1)
+    for name, value in (("C_I", C_I), ("C_t", C_t), ("scale_m", scale_m)):
+        checks.parameter(name, value, checks.not_negative)
+    checks.parameter("scale_c", scale_c, checks.positive)
+    if f is not None and f.ufl_shape != v.ufl_shape:
+        raise ValueError(f"f has shape {f.ufl_shape}: shape {v.ufl_shape} is required")
     d = domain.geometry.dim
     if v.ufl_shape != (d,):
         raise ValueError(f"v has shape {v.ufl_shape}: a mesh of dimension {d} requires ({d},)")
