@@ -20,18 +20,18 @@ HERE = Path(__file__).resolve().parent
 DEMO = HERE.parent / "demos" / "manufactured.py"
 NORMS = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
 COLUMNS = (
-    *("preset", "level", "dt_factor", "steps", "passes_mean"),
+    *("dim", "preset", "level", "dt_factor", "steps", "passes_mean"),
     *NORMS,
     *(f"{norm}_true" for norm in NORMS),
     *("cpu_s", "cpu_s_scaled", "wall_s", "cpu_s_per_step", "peak_rss_mib", "rss_growth_mib", "dofs_fluid"),
 )
 
 
-def run(out: Path, preset: str, level: int, dt_factor: float) -> dict[str, Any]:
+def run(out: Path, dim: int, preset: str, level: int, dt_factor: float) -> dict[str, Any]:
     """One run of the demo in its own process; its summary."""
-    folder = out / "runs" / f"{preset}-{level}-{dt_factor:g}"
-    command = [sys.executable, str(DEMO), "--no-viz", "--preset", preset, "--level", str(level)]
-    command += ["--dt-factor", str(dt_factor), "--out", str(folder)]
+    folder = out / "runs" / f"{dim}d-{preset}-{level}-{dt_factor:g}"
+    command = [sys.executable, str(DEMO), "--no-viz", "--dim", str(dim), "--preset", preset]
+    command += ["--level", str(level), "--dt-factor", str(dt_factor), "--out", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr}")
@@ -42,6 +42,7 @@ def row(summary: dict[str, Any], speed: float) -> dict[str, Any]:
     """One line of the table; scaled CPU seconds are those of the machine of legacy.csv."""
     inputs = summary["inputs"]
     return {
+        "dim": inputs["dim"],
         "preset": inputs["preset"],
         "level": inputs["level"],
         "dt_factor": inputs["dt_factor"],
@@ -84,7 +85,7 @@ def speedups(rows: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
         if good:
             best = min(good, key=lambda r: r["cpu_s_scaled"])
             ratio = yardstick["cpu_s_scaled"] / best["cpu_s_scaled"]
-            what = f"{best['preset']} {best['level']} dt x {best['dt_factor']:g}"
+            what = f"{best['dim']}D {best['preset']} {best['level']} dt x {best['dt_factor']:g}"
             result.append((" + ".join(norms), what, best["cpu_s_scaled"], yardstick["cpu_s_scaled"], ratio))
     return result
 
@@ -109,6 +110,7 @@ def plot(path: Path, groups: dict[str, list[dict[str, Any]]]) -> None:
 
 
 def main(
+    dims: str = "2",
     levels: str = "1,2,3,4,5",
     presets: str = "reference,default",
     dt_factors: str = "1,2,4,8",
@@ -117,6 +119,7 @@ def main(
     """Measure errors, CPU time and memory, and compare them with the published code.
 
     Args:
+        dims: dimensions, 2 (plane) and 3 (one layer), separated by commas.
         levels: refinement levels, separated by commas.
         presets: presets, separated by commas; the reference preset runs with its own time step only.
         dt_factors: time steps of the default preset relative to the published one, separated by commas.
@@ -127,13 +130,13 @@ def main(
     print(f"calibration {here}: {speed:.2f} times the speed of the machine of legacy.csv")
     chosen = [int(level) for level in levels.split(",")]
     groups: dict[str, list[dict[str, Any]]] = {}
-    for preset in presets.split(","):
-        run(out, preset, 1, 1.0)  # compiles
+    for dim, preset in [(int(dim), preset) for dim in dims.split(",") for preset in presets.split(",")]:
+        run(out, dim, preset, 1, 1.0)  # compiles
         for factor in [1.0] if preset == "reference" else [float(f) for f in dt_factors.split(",")]:
-            name = f"{preset}, dt x {factor:g}"
-            groups[name] = [row(run(out, preset, level, factor), speed) for level in chosen]
+            name = f"{dim}D {preset}, dt x {factor:g}"
+            groups[name] = [row(run(out, dim, preset, level, factor), speed) for level in chosen]
             print(f"\n{name}")
-            print(script.table(COLUMNS[1:5] + NORMS + ("cpu_s", "peak_rss_mib"), _cells(groups[name])))
+            print(script.table(COLUMNS[2:6] + NORMS + ("cpu_s", "peak_rss_mib"), _cells(groups[name])))
             fitted = slopes(groups[name])
             if fitted:
                 print(
@@ -152,7 +155,7 @@ def main(
 
 
 def _cells(rows: list[dict[str, Any]]) -> list[list[Any]]:
-    return [[r[key] for key in COLUMNS[1:5] + NORMS + ("cpu_s", "peak_rss_mib")] for r in rows]
+    return [[r[key] for key in COLUMNS[2:6] + NORMS + ("cpu_s", "peak_rss_mib")] for r in rows]
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from coudalfish.options import CouplingOptions, PenaltyRule
-from coudalfish.report import RejectedStepError, StepError, StepReport
+from coudalfish.report import RejectedStepError, StepReport
 from coudalfish.step import Step
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import PointLocator
@@ -105,20 +105,30 @@ class CouDALFISh:
             StepError: the step was not accepted; fields, multiplier and clocks are those of the last good step.
         """
         restore = self._save()
-        step = Step(self)
         try:
-            report = step.run()
-        except (RejectedStepError, SolveError) as error:
-            block = error.block if isinstance(error, RejectedStepError) else step.block
-            suspect, report = step.suspect(), step.report(None)
-            restore()
-            raise StepError(block, str(error), suspect, report) from error
+            report = self._attempt(restore)
         except BaseException:
             restore()
             raise
         self.timeInt_f.advance()
         self.timeInt_sh.advance()
         return report
+
+    def _attempt(self, restore: Callable[[], None]) -> StepReport:
+        """Run the step, and once more with caution when it does not converge; the first failure gives the diagnosis."""
+        first = Step(self)
+        try:
+            return first.run()
+        except (RejectedStepError, SolveError) as error:
+            failure = first.failure(error)
+            if not (self.options.second_attempt and first.passes):
+                raise failure from error
+        restore()
+        log.log(logging.WARNING if self.fluid.comm.rank == 0 else logging.DEBUG, "%s; attempting it again", failure)
+        try:
+            return Step(self, cautious=True).run()
+        except (RejectedStepError, SolveError) as error:
+            raise failure from error
 
     def _save(self) -> Callable[[], None]:
         """Remember what a step changes before it is accepted; the integrators' old states are not among it."""

@@ -52,7 +52,11 @@ class CouplingOptions:
             "published", to the coupling forces in it where these are smaller.
         block_atol: accepted residual of each block relative to the size of the terms that balance in it, which is
             independent of units; 0: only the relative test.
-        max_passes: passes after which the step has failed.
+        max_passes: passes after which an attempt has failed.
+        acceleration: depth of the Anderson acceleration of the shell's iterates; 0: none.
+        accelerate_after: passes without acceleration; those after it also use the consistent tangent.
+        second_attempt: whether a step that does not converge is attempted once more with under-relaxation, acceleration
+            from the start and tangents assembled in every pass.
 
     Raises:
         ValueError: an option is out of range.
@@ -69,6 +73,9 @@ class CouplingOptions:
     block_rtol: float = 1e-2
     block_atol: float = 1e-8
     max_passes: int = 100
+    acceleration: int = 5
+    accelerate_after: int = 6
+    second_attempt: bool = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.penalty, PenaltyRule):
@@ -83,6 +90,8 @@ class CouplingOptions:
         checks.not_negative("block_rtol", self.block_rtol)
         checks.not_negative("block_atol", self.block_atol)
         checks.whole("max_passes", self.max_passes, 1)
+        checks.whole("acceleration", self.acceleration, 0)
+        checks.whole("accelerate_after", self.accelerate_after, 0)
 
     @classmethod
     def reference(cls) -> "CouplingOptions":
@@ -96,4 +105,6 @@ class CouplingOptions:
             stopping="published",
             block_rtol=1e-3,
             block_atol=0.0,
+            acceleration=0,
+            second_attempt=False,
         )

@@ -11,7 +11,8 @@ class StepReport:
 
     Attributes:
         t: time at its end.
-        passes: block passes, each one solve of the fluid and one of the shell.
+        attempts: 1, or 2 when the step converged only under-relaxed.
+        passes: block passes of the last attempt, each one solve of the fluid and one of the shell.
         residuals: norms (fluid, shell) of every test; unit: force.
         linear_iterations: iterations of the fluid's linear solver in all passes.
         penalty: beta.
@@ -21,6 +22,7 @@ class StepReport:
     """
 
     t: float
+    attempts: int
     passes: int
     residuals: tuple[tuple[float, float], ...]
     linear_iterations: int

@@ -4,15 +4,17 @@ The steps of Kamensky, doi:10.1016/j.camwa.2020.01.023, with convergence tested 
 """
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
 from coudalfish import exchange
+from coudalfish.acceleration import Anderson
 from coudalfish.acceptance import Acceptance
 from coudalfish.monitors import Monitors, measure
-from coudalfish.report import RejectedStepError, StepReport
+from coudalfish.report import RejectedStepError, StepError, StepReport
 from coudalfish.trace import Location, trace_matrix
 from tigar_x.compat import FloatArray
 
@@ -23,6 +25,10 @@ SLIP_LIMIT = 0.3
 """Largest slip per load change relative to the fluid's cells, lam dt/(beta h), before a warning."""
 SPACING_LIMIT = 0.75
 """Largest distance of immersed points relative to the fluid's cells before a warning."""
+PENALTY_LIMIT = 100.0
+"""Largest penalty relative to the impedance of the flow at which block iteration converges well."""
+UNDER_RELAXATION = 0.5
+"""Share of the shell's increments that a cautious attempt takes."""
 COURANT_LIMIT = 0.5
 """Largest displacement per step relative to the fluid's cells that explicit geometry bears well."""
 
@@ -32,14 +38,19 @@ class Step:
 
     Args:
         coupler: what is coupled; its multiplier changes only when the attempt succeeds.
+        cautious: under-relax the shell, accelerate from the start and assemble tangents in every pass.
 
     Attributes:
         block: where the attempt is, "fluid", "shell" or "coupling".
     """
 
-    def __init__(self, coupler: "CouDALFISh") -> None:
+    def __init__(self, coupler: "CouDALFISh", *, cautious: bool = False) -> None:
         self.c = coupler
         self.fluid, self.shell, self.options = coupler.fluid, coupler.shell, coupler.options
+        self.cautious = cautious
+        if cautious:
+            self.options = replace(self.options, tangent_update="pass", accelerate_after=0)
+        self.anderson = Anderson(max(self.options.acceleration, 1))
         self.beta = coupler.penalty
         self.dt = coupler.timeInt_f.step_size
         self.block = "coupling"
@@ -98,7 +109,8 @@ class Step:
             norm_f = self._fluid_residual()
             if before and self._accepted(norm_f, self._shell_residual()):
                 return
-            fresh = self.passes == 0 or self.options.tangent_update == "pass" or self.acceptance.stalled
+            fresh = self.passes in (0, self.options.accelerate_after) or self.acceptance.stalled
+            fresh = fresh or self.options.tangent_update == "pass"
             self._solve_fluid(fresh)
             self.u = self.fluid.velocity_at(self.trace)
             norm_s = self._shell_residual()
@@ -112,6 +124,11 @@ class Step:
         if before and self._accepted(self._fluid_residual(), self._shell_residual()):
             return
         raise self.acceptance.failure()
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether the iteration has been so slow that it gets Anderson acceleration and the consistent tangent."""
+        return self.options.acceleration > 0 and self.passes >= self.options.accelerate_after
 
     def _evaluate(self) -> None:
         """Velocities, and normals if they follow the iterate, at the points."""
@@ -140,7 +157,7 @@ class Step:
     def _solve_fluid(self, fresh: bool) -> None:
         self.block = "fluid"
         if fresh:
-            consistent = self.options.fluid_tangent == "consistent"
+            consistent = self.options.fluid_tangent == "consistent" or self.accelerated
             tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
             part = tangent(self.trace.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
             self.fluid.assemble_tangent(self.trace, part)
@@ -150,7 +167,13 @@ class Step:
         self.block = "shell"
         if fresh:
             self.shell.assemble_tangent(self.W, self.beta)
+        y = self.shell.timeInt.x.x.array
+        before = y.copy()
         self.shell.solve()
+        if self.cautious:
+            y[:] = before + UNDER_RELAXATION * (y - before)
+        if self.accelerated:
+            y[:] = self.anderson.next(before, y)
 
     def _accepted(self, norm_f: float, norm_s: float) -> bool:
         self.block = "coupling"
@@ -202,6 +225,7 @@ class Step:
         """What has been done so far."""
         return StepReport(
             t=self.c.timeInt_f.time + self.dt,
+            attempts=2 if self.cautious else 1,
             passes=self.passes,
             residuals=tuple(self.acceptance.history),
             linear_iterations=self.linear_iterations,
@@ -210,6 +234,11 @@ class Step:
             slip_ratio=float(np.abs(self.c.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
             monitors=monitors,
         )
+
+    def failure(self, error: Exception) -> StepError:
+        """The error that tells the user which block failed, why, and which number is suspect."""
+        block = error.block if isinstance(error, RejectedStepError) else self.block
+        return StepError(block, str(error), self.suspect(), self.report(None))
 
     def suspect(self) -> str:
         """The number that exceeds its advised limit most, or a statement that none does."""
@@ -225,6 +254,12 @@ class Step:
         if self.acceptance.limits[0] > 0.0:
             leftover = self.fluid.linear_accuracy / self.acceptance.limits[0]
             numbers["linear solver's residual/accepted residual (tighten its rtol)"] = (leftover, 1.0)
+        if self.fluid.viscosity is not None and self.fluid.density is not None:
+            impedance = self.fluid.viscosity / h + self.fluid.density * h / self.dt
+            numbers["penalty/impedance of the flow, beta/(mu/h + rho h/dt) (lower the penalty beta)"] = (
+                self.beta / impedance,
+                PENALTY_LIMIT,
+            )
         broken = [name for name, (value, _) in numbers.items() if not math.isfinite(value)]
         if broken:
             return f"{broken[0]} is not finite"
