@@ -1,5 +1,7 @@
 """When the block iteration of a step has converged, stalls or diverges."""
 
+from collections.abc import Callable
+
 from coudalfish.options import CouplingOptions
 from coudalfish.report import RejectedStepError
 
@@ -32,7 +34,6 @@ class Acceptance:
         self._options = options
         self._published = options.stopping == "published"
         self._first = [0.0, 0.0]
-        self._floors: Pair = (0.0, 0.0)
         self.history: list[Pair] = []
         self.limits: Pair = (0.0, 0.0)
 
@@ -41,13 +42,13 @@ class Acceptance:
         if len(self.history) <= (0 if self._published else 1):
             self._first = [max(old, new) for old, new in zip(self._first, (norm_f, norm_s), strict=True)]
 
-    def test(self, norms: Pair, coupling: Pair, floors: Pair | None) -> bool:
+    def test(self, norms: Pair, coupling: Pair, floors: Callable[[], Pair]) -> bool:
         """Whether both residuals are small.
 
         Args:
             norms: residuals, finite; unit: force.
             coupling: coupling forces in both blocks; unit: force.
-            floors: absolute limits; None: as before; unit: force.
+            floors: gives absolute limits, asked for only where the relative ones are exceeded; unit: force.
 
         Returns:
             True when the step may be accepted.
@@ -57,21 +58,27 @@ class Acceptance:
         """
         self.note(*norms)
         self.history.append(norms)
-        self._floors = self._floors if floors is None else floors
         self.limits = self._limit(0, coupling[0]), self._limit(1, coupling[1])
-        small = [norm <= limit for norm, limit in zip(norms, self.limits, strict=True)]
+        if self._small(norms):
+            return True
+        if self._options.block_atol > 0.0:
+            f, s = floors()
+            self.limits = max(self.limits[0], f), max(self.limits[1], s)
         for i, block in enumerate(BLOCKS):
-            if not small[i] and self._ratio(i) > GROWTH_LIMIT:
+            if norms[i] > self.limits[i] and self._ratio(i) > GROWTH_LIMIT:
                 raise RejectedStepError(
                     block, f"the residual grew {self._ratio(i):.3g} times in {len(self.history) - 1} passes"
                 )
-        return all(small)
+        return self._small(norms)
+
+    def _small(self, norms: Pair) -> bool:
+        return all(norm <= limit for norm, limit in zip(norms, self.limits, strict=True))
 
     def _limit(self, i: int, force: float) -> float:
         reference = self._first[i]
         if force and not self._published:
             reference = min(reference, force)
-        return max(self._options.block_rtol * reference, self._floors[i])
+        return self._options.block_rtol * reference
 
     def _ratio(self, i: int) -> float:
         return self.history[-1][i] / self._first[i] if self._first[i] else 0.0

@@ -31,6 +31,7 @@ class SurfaceBand:
         self._cell_dof = compat.cell_dofs(cells)[:, 0]
         vertices = compat.lagrange_space(mesh_f, 1)
         self._vertex_dofs = compat.cell_dofs(vertices)
+        self._vertices_by_corner = np.ascontiguousarray(self._vertex_dofs.T)
         self._mark = fem.Function(vertices, name="mark")
         self.clear()
 
@@ -59,6 +60,7 @@ class SurfaceBand:
         mark.array[self._vertex_dofs[location.cells[mine]][touched]] = 1.0
         mark.scatter_reverse(ScatterMode.add)
         mark.scatter_forward()
-        inside = (mark.array[self._vertex_dofs] > 0.0).any(axis=1)
-        self.scale_m.x.array[self._cell_dof] = np.where(inside, scale_m, 1.0)
-        self.scale_c.x.array[self._cell_dof] = np.where(inside, scale_c, 1.0)
+        inside = self._cell_dof[np.logical_or.reduce((mark.array > 0.0)[self._vertices_by_corner])]
+        self.clear()
+        self.scale_m.x.array[inside] = scale_m
+        self.scale_c.x.array[inside] = scale_c

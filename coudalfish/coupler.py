@@ -38,6 +38,8 @@ class CouDALFISh:
         timeInt_f: the flow's integrator.
         timeInt_sh: the shell's integrator.
         contactContext_sh: None: no contact.
+        locator: finds the immersed points in the fluid mesh.
+        floors: residuals (fluid, shell) below which the last step had nothing left to solve for; unit: force.
         lam: multiplier at the immersed points, force of the fluid on the shell along its normal, shape (points,).
 
     Raises:
@@ -66,6 +68,7 @@ class CouDALFISh:
         self.lam = np.broadcast_to(np.asarray(multiplier, dtype=np.float64), (len(points),)).copy()
         checks.array("multiplier", self.lam, (len(points),))
         self.locator = PointLocator(fluid.mesh)
+        self.floors: tuple[float, float] | None = None
         self._warned: set[str] = set()
 
     def _check(self) -> None:

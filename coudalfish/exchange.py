@@ -45,7 +45,8 @@ def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: f
     Returns:
         Matrix for one velocity component, shape (nodes, nodes).
     """
-    return sp.diags(factor * penalty * (B.T @ W), format="csr")
+    diagonal, n = factor * penalty * (B.T @ W), B.shape[1]
+    return sp.csr_matrix((diagonal, np.arange(n), np.arange(n + 1)), shape=(n, n))
 
 
 def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:

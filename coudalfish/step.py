@@ -179,11 +179,15 @@ class Step:
         self.block = "coupling"
         forces = self.forces
         coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
-        floors = self._floors() if self.options.block_atol > 0.0 and self.passes <= 1 else None
-        return self.acceptance.test((norm_f, norm_s), coupling, floors)
+        return self.acceptance.test((norm_f, norm_s), coupling, self._floors)
 
     def _floors(self) -> tuple[float, float]:
-        """Residuals below which nothing is left to solve for: a fraction of the terms that balance, and rounding."""
+        """Residuals below which nothing is left to solve for: a fraction of the terms that balance, and rounding.
+
+        They follow from the last tangent, so before the first solve those of the step before are good enough.
+        """
+        if self.passes == 0 and self.c.floors is not None:
+            return self.c.floors
         part = np.abs(self.c.lam)[:, None] * np.abs(self.n) + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
         magnitude = self.W[:, None] * part
         scale_f = self.fluid.momentum_scale() + self.fluid.coupling_norm(self.trace, magnitude)
@@ -191,10 +195,9 @@ class Step:
         error = self.shell.rounding()
         error_f = self.W[:, None] * self.beta * self.shell.timeInt.xdot_factor * error
         atol = self.options.block_atol
-        return (
-            atol * scale_f + self.fluid.coupling_norm(self.trace, error_f),
-            atol * scale_s + self.shell.force_of(error),
-        )
+        floor_f = atol * scale_f + self.fluid.coupling_norm(self.trace, error_f)
+        self.c.floors = floor_f, atol * scale_s + self.shell.force_of(error)
+        return self.c.floors
 
     # -- end ----------------------------------------------------------------------------------------------------------
 
@@ -206,7 +209,7 @@ class Step:
         )
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
-        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.B.T @ forces).sum(axis=0), op=MPI.SUM))
+        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
         monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
         self.c.lam = lam
         report = self.report(monitors)

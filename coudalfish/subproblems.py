@@ -121,7 +121,7 @@ class FluidSubproblem:
             ``sqrt(|R_momentum|^2 + impedance^2 |R_continuity|^2)``; unit: force.
         """
         dofs = self.velocity_dofs[trace.nodes]
-        nodal = np.where(self._free[trace.nodes], trace.B.T @ forces, 0.0)
+        nodal = np.where(self._free[trace.nodes], trace.transposed @ forces, 0.0)
 
         def load(b: FloatArray) -> None:
             b[dofs] += nodal
@@ -138,7 +138,7 @@ class FluidSubproblem:
 
     def coupling_norm(self, trace: TraceMatrix, forces: FloatArray) -> float:
         """Norm of point forces on the fluid's nodes (collective, but for nodes that ranks share); unit: force."""
-        nodal = trace.B.T @ forces
+        nodal = trace.transposed @ forces
         return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 
     def momentum_scale(self) -> float:
@@ -158,8 +158,10 @@ class FluidSubproblem:
 
         def add(A: PETSc.Mat) -> None:
             for dofs, free in zip(self.velocity_dofs[trace.nodes].T, self._free[trace.nodes].T, strict=True):
-                mask = sp.diags(free.astype(float))
-                K = penalty_tangent if free.all() else (mask @ penalty_tangent @ mask).tocsr()
+                K = penalty_tangent
+                if not free.all():
+                    mask = sp.diags(free.astype(float))
+                    K = (mask @ K @ mask).tocsr()
                 rows, columns = dofs.astype(PETSc.IntType), dofs[K.indices].astype(PETSc.IntType)
                 A.setValuesLocalIJV(
                     K.indptr.astype(PETSc.IntType), columns, K.data, PETSc.InsertMode.ADD_VALUES, rowmap=rows

@@ -4,6 +4,7 @@ Every point is owned by exactly one rank: among the ranks that find it in one of
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,10 @@ class PointLocator:
         self._previous: IntArray | None = None
 
     def _barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
-        xi = np.einsum("nij,nj->ni", self._inverses[cells], x - self._origins[cells])
-        return np.column_stack([1.0 - xi.sum(axis=1), xi])
+        result = np.empty((len(cells), x.shape[1] + 1))
+        np.einsum("nij,nj->ni", self._inverses[cells], x - self._origins[cells], out=result[:, 1:])
+        np.subtract(1.0, result[:, 1:].sum(axis=1), out=result[:, 0])
+        return result
 
     def _search(self, x: FloatArray) -> IntArray:
         """Cells of points by the tree, -1 where this rank has none; ties go to the cell that holds it deepest."""
@@ -139,6 +142,11 @@ class TraceMatrix:
 
     B: sp.csr_matrix
     nodes: IntArray
+
+    @cached_property
+    def transposed(self) -> sp.csr_matrix:
+        """``B^T``, made once."""
+        return self.B.T.tocsr()
 
 
 def trace_matrix(space: fem.FunctionSpace, location: Location) -> TraceMatrix:

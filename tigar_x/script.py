@@ -141,8 +141,9 @@ class Progress:
 
 
 def peak_rss_mib() -> float:
-    """Largest resident memory of this process so far [MiB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    """Largest resident memory of this process so far [MiB]; getrusage would count the parent's before exec as well."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024.0
 
 
 def rss_mib() -> float:

@@ -1,0 +1,108 @@
+"""Where the time of a step goes: shares of assembly, solve, shell and coupling, by Python's profiler."""
+
+import cProfile
+import importlib.util
+import logging
+import pstats
+from pathlib import Path
+from typing import Any, Literal
+
+from coudalfish import CouplingOptions
+from tigar_x import script
+
+_spec = importlib.util.spec_from_file_location(
+    "manufactured_demo", Path(__file__).resolve().parent.parent / "demos" / "manufactured.py"
+)
+demo = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(demo)
+
+# Cumulative times of (file, function); what a function does inside another one of the table is taken from that one.
+PARTS = {
+    "fluid: assembly": [],
+    "fluid: linear solve": [("subproblems.py", "solve")],
+    "coupling: location, B, band": [("trace.py", "locate"), ("trace.py", "trace_matrix"), ("band.py", "update")],
+    "coupling: forces and tangent": [
+        ("subproblems.py", "load"),
+        ("subproblems.py", "add"),
+        ("subproblems.py", "velocity_at"),
+        ("step.py", "forces"),
+        ("exchange.py", "lumped_tangent"),
+        ("exchange.py", "consistent_tangent"),
+    ],
+    "coupling: normals, multiplier, monitors": [("subproblems.py", "normals"), ("step.py", "_finish")],
+    "acceptance test": [("step.py", "_accepted")],
+    "shell": [("step.py", "_shell_residual"), ("step.py", "_solve_shell")],
+}
+
+
+def cumulative(stats: pstats.Stats, file: str, function: str, caller: str | None = None) -> float:
+    """Cumulative seconds of a function, over all callers or those of one name."""
+    total = 0.0
+    for (path, _, name), (_, _, _, time, callers) in stats.stats.items():  # type: ignore[attr-defined]
+        if name == function and Path(path).name == file:
+            if caller is None:
+                total += time
+            else:
+                total += sum(entry[3] for (_, _, other), entry in callers.items() if other == caller)
+    return total
+
+
+def shares(stats: pstats.Stats) -> dict[str, float]:
+    """Share of every part in a step."""
+    whole = cumulative(stats, "coupler.py", "takeStep")
+    seconds = {part: sum(cumulative(stats, *place) for place in places) for part, places in PARTS.items()}
+    shell_solve = cumulative(stats, "subproblems.py", "solve", "_solve_shell")
+    fluid_assembly = cumulative(stats, "subproblems.py", "assemble_residual", "_fluid_residual")
+    fluid_assembly += cumulative(stats, "subproblems.py", "assemble_tangent", "_solve_fluid")
+    inside = cumulative(stats, "subproblems.py", "load") + cumulative(stats, "subproblems.py", "add")
+    seconds["fluid: assembly"] = fluid_assembly - inside
+    seconds["fluid: linear solve"] -= shell_solve
+    seconds["the rest"] = whole - sum(seconds.values())
+    return {part: value / whole for part, value in seconds.items()}
+
+
+def main(
+    dim: Literal[2, 3] = 2,
+    level: int = 5,
+    preset: Literal["reference", "default"] = "default",
+    steps: int = 20,
+    out: Path = Path("results/benchmarks"),
+) -> dict[str, Any]:
+    """Profile some steps of the manufactured fluid-membrane problem.
+
+    Args:
+        dim: dimension of space, 2 or 3 (one layer).
+        level: refinement level.
+        preset: the published algorithm, or this library's defaults.
+        steps: steps to profile, after one that is not.
+        out: folder of the results.
+
+    Returns:
+        CPU seconds per step, without the profiler, and the shares.
+    """
+    logging.getLogger("coudalfish").setLevel(logging.ERROR)
+    reference = preset == "reference"
+    options = CouplingOptions.reference() if reference else CouplingOptions()
+    whole = 2 * demo.cells_per_side(level)
+    fsi = demo.build(dim, level, whole, options, projected=reference, data=demo.Data())
+    fsi.takeStep()
+    watch, profile = script.Stopwatch(), cProfile.Profile()
+    with watch:
+        for _ in range(steps):
+            fsi.takeStep()
+    profile.enable()
+    for _ in range(steps):
+        fsi.takeStep()
+    profile.disable()
+    parts = shares(pstats.Stats(profile))
+    per_step = watch.cpu_s / steps
+    print(f"{dim}D level {level} {preset}: {per_step:.4f} CPU s per step, peak {script.peak_rss_mib():.0f} MiB")
+    print(script.table(("part", "% of a step"), [(part, 100.0 * share) for part, share in parts.items()]))
+    coupling = sum(share for part, share in parts.items() if part.startswith("coupling"))
+    print(f"coupling in all: {100 * coupling:.1f} %")
+    name = f"breakdown-{dim}d-{level}-{preset}"
+    return script.write_summary(out / name, name, {"steps": steps}, cpu_s_per_step=per_step, shares=parts)
+
+
+if __name__ == "__main__":
+    script.command_line(main)
