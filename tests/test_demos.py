@@ -45,6 +45,13 @@ def test_every_option_is_on_the_command_line_and_no_other(name):
     assert "--no-such-option" in wrong.stderr
 
 
+def test_manufactured_in_space_at_toy_size(tmp_path):
+    demo = load_demo("manufactured")
+    summary = demo.main(**demo.TOY, dim=3, out=tmp_path, viz=True)
+    assert summary["dofs_fluid"] == 4 * 2 * 7 * 7
+    assert {path.suffix for path in tmp_path.iterdir()} >= {".json", ".xdmf", ".h5", ".pvd", ".vtu", ".csv", ".png"}
+
+
 def test_no_viz_writes_the_summary_alone(tmp_path):
     demo = load_demo("manufactured")
     demo.main(**demo.TOY, out=tmp_path, viz=False)

@@ -1,12 +1,14 @@
 """The main job: errors, orders, memory and rank-independence of the manufactured fluid-membrane problem."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
 from on_disk import load_demo
 
-from coudalfish import CouplingOptions
+from coudalfish import CouplingOptions, PenaltyRule
 
 DEMO = load_demo("manufactured")
 NORMS = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
@@ -37,6 +39,49 @@ def test_reference_preset_reproduces_the_published_algorithm(start, level, tmp_p
     for norm, published in zip(NORMS, PUBLISHED[start, level], strict=True):
         assert summary["errors"][norm] == pytest.approx(published, rel=0.01), norm
     assert 2.5 <= summary["block_iterations_mean"] <= 3.1
+
+
+@pytest.mark.parametrize("level", [1, 2, 3, 4])
+def test_one_layer_reference_equals_the_published_code(level, tmp_path):
+    """Same equations, same mesh, same stopping test: the same errors, in three passes a step."""
+    summary = DEMO.main(dim=3, level=level, preset="reference", out=tmp_path, viz=False)
+    for norm, published in DEMO.PUBLISHED_CODE[level].items():
+        assert summary["errors"][norm] == pytest.approx(published, rel=2e-3), norm
+    assert summary["block_iterations_mean"] == pytest.approx(3.0, abs=0.1)
+
+
+def odd_orders(dim, relaxation):
+    """Orders between levels 3 and 4 of the reference with no parameter equal to one or zero."""
+    data = DEMO.Data(L=1.3, H=0.4, V=0.8, DP=2.0, mu=0.07, rho=1.6, rho_s=2.5, rho_infinity=0.5)
+    penalty = PenaltyRule(1.7, 0.0)
+    options = replace(CouplingOptions.reference(), penalty=penalty, relaxation=relaxation, scale_m=1e-2, scale_c=1e-2)
+    errors = []
+    for level in (3, 4):
+        steps = 2 * DEMO.cells_per_side(level)
+        fsi = DEMO.build(dim, level, steps, options, projected=True, data=data)
+        for _ in range(steps):
+            fsi.takeStep()
+        errors.append(DEMO.errors(fsi, data, data.T, 8))
+    return {norm: np.log2(errors[0][norm] / errors[1][norm]) for norm in NORMS}
+
+
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_orders_survive_other_data(dim):
+    orders = odd_orders(dim, relaxation=0.0)
+    assert orders["L2_u"] >= 1.3
+    assert orders["H1_u"] >= 0.6
+    assert orders["L2_y"] >= 0.9
+    assert orders["H1_y"] >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_relaxed_multiplier_leaks_but_keeps_the_orders_of_the_flow(dim):
+    """The leak r lam/beta of first order takes over the membrane's error."""
+    orders = odd_orders(dim, relaxation=0.02)
+    assert orders["L2_u"] >= 1.0
+    assert orders["H1_u"] >= 0.5
+    assert orders["L2_y"] >= 0.3
 
 
 def test_default_preset_converges(tmp_path):
@@ -80,12 +125,13 @@ def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
 
 
 @pytest.mark.mpi
-def test_every_number_of_ranks_gives_the_same_errors(tmp_path, monkeypatch):
+@pytest.mark.parametrize("dim", [2, 3])
+def test_every_number_of_ranks_gives_the_same_errors(dim, tmp_path, monkeypatch):
     """With direct solves and tight blocks the errors do not depend on the ranks; the figures are those of one rank."""
     monkeypatch.setattr(DEMO, "CouplingOptions", lambda: CouplingOptions(block_rtol=1e-11, block_atol=1e-14))
-    parallel = DEMO.main(level=1, out=tmp_path, viz=False)["errors"]
+    parallel = DEMO.main(dim=dim, level=1, out=tmp_path, viz=False)["errors"]
     monkeypatch.setattr(DEMO, "MPI", SelfOnly)
-    alone = DEMO.main(level=1, out=tmp_path, viz=False)["errors"]
+    alone = DEMO.main(dim=dim, level=1, out=tmp_path, viz=False)["errors"]
     for norm in NORMS:
         assert parallel[norm] == pytest.approx(alone[norm], rel=1e-8), norm
 
