@@ -5,7 +5,7 @@ analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.c
 """
 
 from coudalfish.band import SurfaceBand
-from coudalfish.coupler import CouDALFISh
+from coudalfish.coupler import CouDALFISh, advance
 from coudalfish.monitors import Monitors
 from coudalfish.options import CouplingOptions, PenaltyRule
 from coudalfish.report import StepError, StepReport
@@ -21,4 +21,5 @@ __all__ = [
     "StepError",
     "StepReport",
     "SurfaceBand",
+    "advance",
 ]

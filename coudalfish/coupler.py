@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from coudalfish.options import CouplingOptions, PenaltyRule
-from coudalfish.report import RejectedStepError, StepReport
+from coudalfish.report import RejectedStepError, StepError, StepReport
 from coudalfish.step import Step
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import PointLocator
@@ -87,6 +87,15 @@ class CouDALFISh:
             raise ValueError("a penalty rule needs the fluid's density and viscosity; give them or a number as penalty")
 
     @property
+    def step_size(self) -> float:
+        """Step size of both integrators; assign to change it. Unit: time."""
+        return self.timeInt_f.step_size
+
+    @step_size.setter
+    def step_size(self, value: float) -> None:
+        self.timeInt_f.step_size = self.timeInt_sh.step_size = value
+
+    @property
     def penalty(self) -> float:
         """The penalty beta of the step in progress; unit: force time/length^3."""
         rule = self.options.penalty
@@ -152,3 +161,35 @@ class CouDALFISh:
             self._warned.add(key)
             if self.fluid.comm.rank == 0:
                 log.warning(message, *numbers)
+
+
+def advance(fsi: CouDALFISh, interval: float, *, halvings: int = 6) -> list[StepReport]:
+    """Advance by an interval in one step or, where steps fail, in smaller ones.
+
+    Args:
+        fsi: what is coupled; its step size is ``interval`` afterwards.
+        interval: time to advance by; unit: time.
+        halvings: how often the step may be halved.
+
+    Returns:
+        The reports of the steps, one if none failed.
+
+    Raises:
+        StepError: the smallest step failed as well; the state is that of the last good step.
+        ValueError: a number is out of range.
+    """
+    smallest = checks.positive("interval", interval) / 2 ** checks.whole("halvings", halvings, 0)
+    end, dt, reports = fsi.timeInt_f.time + interval, interval, []
+    try:
+        while end - fsi.timeInt_f.time > 1e-9 * interval:
+            fsi.step_size = min(dt, end - fsi.timeInt_f.time)
+            try:
+                reports.append(fsi.takeStep())
+            except StepError as error:
+                if dt / 2 < 0.999 * smallest:
+                    raise
+                dt /= 2
+                fsi.warn_once("cut", "%s; going on with dt = %g", error, dt)
+    finally:
+        fsi.step_size = interval
+    return reports

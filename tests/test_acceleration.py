@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import sheet_in_flow
 
-from coudalfish import CouplingOptions, PenaltyRule, StepError
+from coudalfish import CouplingOptions, PenaltyRule, StepError, advance
 from coudalfish.acceleration import Anderson
 
 STIFF = CouplingOptions(penalty=PenaltyRule(300.0, 0.0), block_rtol=1e-5, second_attempt=False, max_passes=40)
@@ -80,3 +80,38 @@ def test_a_hopeless_penalty_is_named():
     with pytest.raises(StepError, match=r"suspect: penalty/impedance of the flow.*lower the penalty beta"):
         scene.fsi.takeStep()
     np.testing.assert_array_equal(scene.y.x.array, before)
+
+
+# -- smaller steps ----------------------------------------------------------------------------------------------------
+
+IMPATIENT = CouplingOptions(
+    penalty=PenaltyRule(30.0, 0.0), block_rtol=1e-4, acceleration=0, second_attempt=False, max_passes=8
+)
+
+
+@pytest.mark.mpi
+def test_advance_cuts_the_step_where_it_fails():
+    scene = moving_sheet(IMPATIENT)
+    with pytest.raises(StepError):
+        scene.fsi.takeStep()
+    reports = advance(scene.fsi, 0.1)
+    assert len(reports) > 1
+    assert scene.fsi.timeInt_f.time == pytest.approx(0.1, rel=1e-12)
+    assert scene.fsi.timeInt_sh.time == pytest.approx(0.1, rel=1e-12)
+    assert scene.fsi.step_size == 0.1
+
+
+def test_advance_takes_one_step_where_one_is_enough():
+    whole, plain = moving_sheet(CouplingOptions()), moving_sheet(CouplingOptions())
+    (report,) = advance(whole.fsi, 0.1)
+    assert report == plain.fsi.takeStep()
+
+
+def test_advance_gives_up_after_the_allowed_halvings():
+    scene = moving_sheet(IMPATIENT)
+    with pytest.raises(StepError):
+        advance(scene.fsi, 0.1, halvings=0)
+    assert scene.fsi.timeInt_f.time == 0.0
+    assert scene.fsi.step_size == 0.1
+    with pytest.raises(ValueError, match=r"interval = 0"):
+        advance(scene.fsi, 0.0)

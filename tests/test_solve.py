@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from tigar_x import compat
-from tigar_x.linear import PreparedSolver, SolveError, direct, gmres_ilu
+from tigar_x.linear import PreparedSolver, SolveError, direct, gmres_ilu, gmres_sor
 from tigar_x.solve import FiniteElementSystem, newton
 
 WORLD = MPI.COMM_WORLD
@@ -122,14 +122,22 @@ def test_constraints_hold_exactly(solver):
 
 
 @pytest.mark.mpi
-def test_fallback_is_used_and_logged(caplog):
+@pytest.mark.parametrize(
+    ("fallback", "names"),
+    [
+        (direct(), ["direct(mumps)"]),
+        (None, ["gmres_sor"]),
+        (gmres_sor(max_iterations=1), ["gmres_sor", "direct(mumps)"]),
+    ],
+)
+def test_fallbacks_are_used_in_order_and_logged(fallback, names, caplog):
     reference, _, _ = solved(direct())
-    system, _, report = solved(gmres_ilu(0, max_iterations=1, rtol=1e-11))
-    np.testing.assert_allclose(system.x.x.array, reference.x.x.array, rtol=0, atol=1e-10)
-    assert report.linear_iterations == (2,)
-    (message,) = warnings(caplog)
-    assert message.startswith("gmres_ilu(0) failed")
-    assert "direct(mumps)" in message
+    system, _, report = solved(gmres_ilu(0, max_iterations=1, rtol=1e-11, fallback=fallback))
+    np.testing.assert_allclose(system.x.x.array, reference.x.x.array, rtol=0, atol=1e-7)
+    assert report.linear_iterations[0] > 1
+    messages = warnings(caplog)
+    assert [message.split("using ")[1] for message in messages] == names
+    assert messages[0].startswith("gmres_ilu(0) failed")
 
 
 @pytest.mark.parametrize("solver", [direct(), direct("petsc"), gmres_ilu(0), replace(gmres_ilu(1), fallback=None)])

@@ -75,7 +75,7 @@ def gmres_ilu(
         max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
         overlap: overlap of the Schwarz subdomains.
         rebuild_growth: see :class:`LinearSolver`.
-        fallback: recipe to use when GMRES fails; None: MUMPS.
+        fallback: recipe to use when GMRES fails; None: :func:`gmres_sor`, and MUMPS after that.
 
     Returns:
         The recipe.
@@ -88,19 +88,40 @@ def gmres_ilu(
         "pc_factor_levels": checks.whole("levels", levels, 0),
         "pc_factor_mat_ordering_type": "rcm",
     }
-    options: dict[str, str | int | float] = {
+    options = _gmres(rtol, max_iterations)
+    options |= {"pc_type": "asm", "pc_asm_overlap": checks.whole("overlap", overlap, 0)}
+    options |= {f"sub_{key}": value for key, value in ilu.items()}
+    next_one = gmres_sor(rtol=rtol) if fallback is None else fallback
+    return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, next_one)
+
+
+def _gmres(rtol: float, max_iterations: int) -> dict[str, str | int | float]:
+    return {
         "ksp_type": "gmres",
         "ksp_pc_side": "right",
         "ksp_norm_type": "unpreconditioned",
         "ksp_rtol": checks.positive("rtol", rtol),
         "ksp_max_it": checks.whole("max_iterations", max_iterations, 1),
         "ksp_gmres_restart": max_iterations,
-        "pc_type": "asm",
-        "pc_asm_overlap": checks.whole("overlap", overlap, 0),
     }
-    options.update({f"sub_{key}": value for key, value in ilu.items()})
-    last_resort = direct() if fallback is None else fallback
-    return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, last_resort)
+
+
+def gmres_sor(*, rtol: float = 1e-8, max_iterations: int = 100, fallback: LinearSolver | None = None) -> LinearSolver:
+    """Right-preconditioned GMRES with node-blocked symmetric successive over-relaxation: no set-up, little memory.
+
+    Args:
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed.
+        fallback: recipe to use when GMRES fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    options = _gmres(rtol, max_iterations) | {"pc_type": "sor"}
+    return LinearSolver("gmres_sor", options, "baij", None, direct() if fallback is None else fallback)
 
 
 def automatic(unknowns: int, *, blocked: bool) -> LinearSolver:
