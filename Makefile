@@ -2,7 +2,20 @@
 # environment makes sure of it first (tools/setup.sh), which takes no time when
 # nothing is missing.
 
+# DOLFINX=wheel takes dolfinx from PyPI, in .venv-wheel, instead of from Debian.
+DOLFINX ?= debian
+ifeq ($(DOLFINX),wheel)
+SETUP := bash tools/setup.sh --wheel
+PYTHON := .venv-wheel/bin/python
+MPIRUN := .venv-wheel/bin/mpirun
+else
+SETUP := bash tools/setup.sh
 PYTHON := .venv/bin/python
+MPIRUN := mpirun --oversubscribe
+endif
+
+# Where Debian 13 is kept, for the targets that run on it.
+TRIXIE ?= build/trixie
 
 # The processes of an MPI run are the parallelism; threads inside BLAS only get
 # in their way, and make timings depend on the machine's load.
@@ -17,13 +30,13 @@ export OMPI_ALLOW_RUN_AS_ROOT = 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-mpi lint bench docs clean distclean
+.PHONY: help setup demo test test-slow test-mpi test-trixie test-wheel lint bench docs clean distclean
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 setup: ## install Debian's packages and make .venv, whatever is missing of them
-	@bash tools/setup.sh
+	@$(SETUP)
 
 demo: setup ## run the manufactured solution and its convergence table, into results/manufactured
 	$(PYTHON) demos/manufactured.py --level 4 --out results/manufactured
@@ -37,7 +50,13 @@ test-slow: setup ## run the slow tests
 
 # The cache of pytest is one directory, which two processes must not share.
 test-mpi: setup ## run the tests marked mpi on two processes
-	mpirun -n 2 --oversubscribe $(PYTHON) -m pytest -p no:cacheprovider -m mpi
+	$(MPIRUN) -n 2 $(PYTHON) -m pytest -p no:cacheprovider -m mpi
+
+test-trixie: ## run the tests of the last commit on Debian 13 (dolfinx 0.9), kept in build/trixie; as root
+	bash tools/bare_debian.sh --suite trixie --reuse $(TRIXIE) "make test"
+
+test-wheel: ## the same with the wheel of PyPI (dolfinx 0.11)
+	bash tools/bare_debian.sh --suite trixie --reuse $(TRIXIE) "make test DOLFINX=wheel"
 
 lint: setup ## check style and types
 	$(PYTHON) -m ruff check .
@@ -48,12 +67,12 @@ bench: setup ## run the benchmarks, into results/benchmarks
 	$(PYTHON) benchmarks/manufactured.py --out results/benchmarks
 
 docs: ## write the documentation of the packages into build/docs
-	@bash tools/setup.sh docs
+	@$(SETUP) docs
 	$(PYTHON) -m pdoc --docformat google --math -o build/docs tigar_x shnapr varmint coudalfish
 
-clean: ## remove results, build products and caches; .venv stays
-	rm -rf results build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache
-	find . -path ./.venv -prune -o -path ./.git -prune -o -type d -name __pycache__ -exec rm -rf {} +
+clean: ## remove results, build products and caches; the environments stay
+	rm -rf results build/docs build/lib build/bdist.* dist *.egg-info .pytest_cache .ruff_cache .mypy_cache
+	find . -path './.venv*' -prune -o -path ./build -prune -o -path ./.git -prune -o -type d -name __pycache__ -exec rm -rf {} +
 
-distclean: clean ## remove .venv as well
-	rm -rf .venv
+distclean: clean ## remove the environments as well
+	rm -rf .venv .venv-wheel build

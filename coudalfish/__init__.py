@@ -4,6 +4,8 @@
 analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.camwa.2020.01.023.
 """
 
+import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
+
 from coudalfish.band import SurfaceBand
 from coudalfish.coupler import CouDALFISh, advance
 from coudalfish.monitors import Monitors

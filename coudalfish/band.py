@@ -2,7 +2,6 @@
 
 import numpy as np
 from dolfinx import fem, mesh
-from dolfinx.la import ScatterMode
 
 from coudalfish.trace import Location
 from tigar_x import checks, compat
@@ -53,14 +52,13 @@ class SurfaceBand:
         """
         for name, value in (("scale_m", scale_m), ("scale_c", scale_c)):
             checks.within(name, checks.positive(name, value), 0.0, 1.0)
-        mark = self._mark.x
-        mark.array[:] = 0.0
+        mark = self._mark.x.array
+        mark[:] = 0.0
         mine = location.owned
         touched = location.barycentric[mine] > MARKED
-        mark.array[self._vertex_dofs[location.cells[mine]][touched]] = 1.0
-        mark.scatter_reverse(ScatterMode.add)
-        mark.scatter_forward()
-        inside = self._cell_dof[np.logical_or.reduce((mark.array > 0.0)[self._vertices_by_corner])]
+        mark[self._vertex_dofs[location.cells[mine]][touched]] = 1.0
+        compat.accumulate(self._mark)
+        inside = self._cell_dof[np.logical_or.reduce((mark > 0.0)[self._vertices_by_corner])]
         self.clear()
         self.scale_m.x.array[inside] = scale_m
         self.scale_c.x.array[inside] = scale_c

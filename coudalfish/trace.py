@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
@@ -52,7 +52,7 @@ class PointLocator:
     """
 
     def __init__(self, domain: mesh.Mesh) -> None:
-        cell = domain.ufl_cell().cellname()
+        cell = compat.cell_name(domain)
         if cell not in ("triangle", "tetrahedron"):
             raise ValueError(f"mesh has cells of type {cell}: immersed points need 'triangle' or 'tetrahedron'")
         if domain.topology.index_map(domain.topology.dim).size_global == 0:

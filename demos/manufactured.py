@@ -22,8 +22,8 @@ from typing import Any, Literal
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
 from shnapr.loads import dead_load, inertia

@@ -2,8 +2,8 @@
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
 from shnapr.loads import inertia

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dolfinx import mesh
 from mpi4py import MPI
+from dolfinx import mesh
 
 from coudalfish import SurfaceBand
 from coudalfish.trace import PointLocator

@@ -1,10 +1,12 @@
 """Checks of input: what passes comes back, what does not is named with its value and what is allowed."""
 
+import re
+
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from tigar_x import checks
 
@@ -46,7 +48,7 @@ def test_messages_say_what_is_allowed(check, value, message):
 def test_within_takes_its_ends():
     assert [checks.within("r", v, -1.0, 2) for v in (-1, 0.5, 2)] == [-1, 0.5, 2]
     for value in (np.nextafter(-1.0, -2.0), 2.0000001, NAN, INF):
-        with pytest.raises(ValueError, match=rf"^r = {value!r}: a .*number"):
+        with pytest.raises(ValueError, match=rf"^r = {re.escape(repr(value))}: a .*number"):
             checks.within("r", value, -1.0, 2)
     with pytest.raises(ValueError, match=r"^r = 3: a number from -1 to 2 is required$"):
         checks.within("r", 3, -1.0, 2)

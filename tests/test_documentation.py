@@ -13,7 +13,7 @@ def modules():
     for package in PACKAGES:
         root = importlib.import_module(package)
         yield root
-        for info in pkgutil.iter_modules(root.__path__, package + "."):
+        for info in pkgutil.walk_packages(root.__path__, package + "."):
             yield importlib.import_module(info.name)
 
 

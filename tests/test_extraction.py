@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from petsc4py import PETSc
 from splines import PATCHES, RATIONAL, WORLD, coefficients, integral, spline
 

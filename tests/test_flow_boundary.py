@@ -6,8 +6,8 @@ Bazilevs and Hughes, doi:10.1016/j.compfluid.2005.07.012; Esmaily-Moghadam et al
 import numpy as np
 import pytest
 import ufl
-from flows import MU, RHO, Flow, assembled
 from mpi4py import MPI
+from flows import MU, RHO, Flow, assembled
 
 from tigar_x import compat
 from varmint.boundary import stable_neumann, weak_dirichlet

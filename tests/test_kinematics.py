@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 
 from shnapr.kinematics import Midsurface, curvature_change, local_voigt, membrane_strain, midsurface
 from tigar_x import compat, shapes

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from splines import PATCHES, RATIONAL, WORLD, coefficients, integral, spline
 
 from tigar_x.solve import SplineSystem

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import ufl
+from mpi4py import MPI
 from dolfinx import fem
 from flows import H, grid
-from mpi4py import MPI
 
 from tigar_x import compat
 from varmint.vms import element_metric, stabilization_parameters

@@ -5,8 +5,8 @@ from functools import cache, cached_property
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from ufl.algorithms import expand_derivatives
 
 from shnapr.loads import dead_load, inertia

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 
 from shnapr.svk import StVenantKirchhoff, strain_energy
 from tigar_x import shapes

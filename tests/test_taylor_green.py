@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from tigar_x import compat
 from tigar_x.solve import FiniteElementSystem, newton

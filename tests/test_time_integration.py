@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from tigar_x import compat
 from tigar_x.time_integration import LoadStepper, TimeIntegrator, backward_euler, generalized_alpha

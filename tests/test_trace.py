@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 
 from coudalfish.trace import PointLocator, trace_matrix
 from tigar_x import compat

@@ -8,4 +8,6 @@ The package also holds the ground that shells, flow and coupling stand on: linea
 integrators, output, and what a script needs around a run.
 """
 
+import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
+
 __version__ = "0.1.0"

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from dolfinx import fem, mesh
 from mpi4py import MPI
+from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat

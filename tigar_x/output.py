@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from dolfinx import fem, io, mesh
 from mpi4py import MPI
+from dolfinx import fem, io, mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from numpy.typing import ArrayLike
 from petsc4py import PETSc
 

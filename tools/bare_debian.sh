@@ -2,7 +2,7 @@
 # Run this checkout's HEAD on a bare Debian: a root file system that
 # debootstrap makes, with make, git and CA certificates and nothing else.
 #
-#     tools/bare_debian.sh [--suite SUITE] [--base DIR] [--mirror URL] [--remove] DIRECTORY [COMMAND...]
+#     tools/bare_debian.sh [--suite SUITE] [--base DIR] [--mirror URL] [--reuse | --remove] DIRECTORY [COMMAND...]
 #
 # DIRECTORY  where the root file system goes; must be empty or not exist yet
 # COMMAND    shell commands, one an argument, run in order in a clone of HEAD
@@ -12,6 +12,8 @@
 # --base     keep a pristine copy of the bare system here, and begin with it
 #            when it is there already
 # --mirror   Debian's mirror (default: what apt uses on this machine)
+# --reuse    begin with what an earlier run with --reuse left in DIRECTORY, if
+#            there is any; its clone is brought to HEAD, its environment stays
 # --remove   remove DIRECTORY at the end
 #
 # The machine's pip and proxy settings, CA certificates, name resolution and,
@@ -23,12 +25,13 @@ set -euo pipefail
 die() { printf 'bare_debian: %s\n' "$*" >&2; exit 1; }
 usage() { sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//;p}' "${BASH_SOURCE[0]}"; exit "$1"; }
 
-suite=bookworm base='' mirror='' remove=no
+suite=bookworm base='' mirror='' reuse=no remove=no
 while [ $# -gt 0 ]; do
     case $1 in
         --suite) suite=$2; shift 2 ;;
         --base) base=$2; shift 2 ;;
         --mirror) mirror=$2; shift 2 ;;
+        --reuse) reuse=yes; shift ;;
         --remove) remove=yes; shift ;;
         -h | --help) usage 0 ;;
         -*) die "no such option: $1 (see --help)" ;;
@@ -39,14 +42,20 @@ done
 directory=$1; shift
 [ $# -gt 0 ] || set -- "make demo" "make test"
 
-[ "$(id -u)" = 0 ] || die "only root can make a root file system"
+[ "$reuse$remove" != yesyes ] || die "--reuse and --remove exclude each other"
+[ "$(id -u)" = 0 ] || die "only root can make a root file system and enter it"
 for tool in debootstrap git unshare chroot; do
-    command -v "$tool" >/dev/null || die "$tool is not installed"
+    command -v "$tool" >/dev/null || die "$tool is not installed (apt-get install debootstrap git util-linux coreutils)"
 done
 checkout=$(git -C "$(dirname "${BASH_SOURCE[0]}")" rev-parse --show-toplevel)
 git -C "$checkout" rev-parse --verify --quiet HEAD >/dev/null || die "there is no commit to test"
 [ -z "$(git -C "$checkout" status --porcelain)" ] || echo "bare_debian: what is not committed is not tested" >&2
-[ -z "$(ls -A "$directory" 2>/dev/null)" ] || die "$directory is not empty"
+made=no
+if [ "$reuse" = yes ] && [ -e "$directory/complete-$suite" ]; then
+    made=yes
+else
+    [ -z "$(ls -A "$directory" 2>/dev/null)" ] || die "$directory is not empty, and holds no complete $suite; remove it"
+fi
 mkdir -p "$directory"
 directory=$(realpath "$directory")
 
@@ -82,7 +91,9 @@ bootstrap() {
 }
 
 # The bare system.
-if [ -z "$base" ]; then
+if [ "$made" = yes ]; then
+    echo "bare_debian: going on with what is in $directory" >&2
+elif [ -z "$base" ]; then
     timed debootstrap bootstrap "$directory"
 else
     if [ ! -e "$base/complete-$suite" ]; then
@@ -93,6 +104,7 @@ else
     cp -a --reflink=auto "$base/." "$directory"
     rm "$directory/complete-$suite"
 fi
+[ "$reuse" = no ] || touch "$directory/complete-$suite"
 
 # What of this machine it takes to reach the network.
 carry /etc/resolv.conf /etc/hosts /etc/ssl/certs/ca-certificates.crt /etc/pip.conf
@@ -105,7 +117,10 @@ for file in /etc/apt/apt.conf /etc/apt/apt.conf.d/*; do
     if [ -f "$file" ] && grep -qi 'Acquire::' "$file"; then carry "$file"; fi
 done
 
-git clone --quiet --depth 1 "file://$checkout" "$directory/root/checkout"
+clone=$directory/root/checkout
+[ -d "$clone" ] || git clone --quiet --depth 1 "file://$checkout" "$clone"
+git -C "$clone" fetch --quiet --depth 1 "file://$checkout" HEAD
+git -C "$clone" reset --quiet --hard FETCH_HEAD
 
 environment=(HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin TERM="${TERM:-dumb}")
 while IFS= read -r name; do

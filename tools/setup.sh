@@ -1,7 +1,11 @@
 #!/usr/bin/env bash
-# Make sure that Debian's packages and the virtual environment .venv are there.
+# Make sure that Debian's packages and the virtual environment are there.
 #
-#     tools/setup.sh [EXTRA...]
+#     tools/setup.sh [--wheel] [EXTRA...]
+#
+# On Debian 12 and 13 dolfinx is Debian's (0.5 and 0.9), and the environment is
+# .venv.  With --wheel it is the wheel of PyPI (0.11, with an MPI of its own), the
+# environment is .venv-wheel, and Debian gives Python >= 3.12 and a compiler.
 #
 # Each EXTRA is an optional dependency group of pyproject.toml; `dev` is always
 # installed.  Nothing is done, and no network is used, when nothing is missing.
@@ -13,18 +17,28 @@ packages=(
     ca-certificates
     g++
     gcc
-    libopenblas0-serial
-    openmpi-bin
     python3-dev
-    python3-dolfinx
-    python3-gmsh
-    python3-h5py
-    python3-matplotlib
-    python3-meshio
     python3-venv
 )
-# The distributions that Debian provides and pip must leave as they are.
-pinned=(fenics-basix fenics-dolfinx fenics-ffcx fenics-ufl matplotlib meshio mpi4py numpy petsc4py scipy)
+if [ "${1:-}" = --wheel ]; then
+    shift
+    environment=.venv-wheel extras=dev,viz,wheel pinned=()
+    options=()
+else
+    environment=.venv extras=dev,debian
+    options=(--system-site-packages)
+    packages+=(
+        libopenblas0-serial
+        openmpi-bin
+        python3-dolfinx
+        python3-gmsh
+        python3-h5py
+        python3-matplotlib
+        python3-meshio
+    )
+    # The distributions that Debian provides and pip must leave as they are.
+    pinned=(fenics-basix fenics-dolfinx fenics-ffcx fenics-ufl matplotlib meshio mpi4py numpy petsc4py scipy)
+fi
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 die() { say "$@"; exit 1; }
@@ -42,7 +56,7 @@ retry() {
 
 debian_packages() {
     command -v dpkg-query >/dev/null ||
-        die "this is not Debian 12; provide what these packages provide: ${packages[*]}"
+        die "this is not Debian 12 or 13; provide what these packages provide: ${packages[*]}"
 
     local installed missing=() name
     installed=" $(dpkg-query -W -f '${db:Status-Status}:${Package} ' "${packages[@]}" 2>/dev/null || true)"
@@ -57,7 +71,7 @@ debian_packages() {
             die "neither root nor sudo; have these packages installed, and try again: ${missing[*]}"
         root=(sudo)
     fi
-    say "installing Debian's packages (2.6 GB when none is there yet): ${missing[*]}"
+    say "installing Debian's packages (up to 2.6 GB when none is there yet): ${missing[*]}"
     apt=("${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -o Acquire::Retries=3)
     retry apt_install "${missing[@]}" ||
         die "apt-get failed; have these packages installed, and try again: ${missing[*]}"
@@ -86,31 +100,36 @@ PYTHON
 # A stamp for each set of extras holds the path of the checkout it was made
 # for: a virtual environment cannot be moved.
 is_current() {
-    [ -x .venv/bin/python ] && [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ "$(<"$1")" = "$PWD" ]
+    [ -x "$environment/bin/python" ] && [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ "$(<"$1")" = "$PWD" ]
 }
 
 virtual_environment() {
-    local extras=dev extra
+    local basic="$environment/stamp-$extras" extra
     for extra in "$@"; do
-        [ "$extra" = dev ] || extras+=",$extra"
+        [[ ,$extras, == *",$extra,"* ]] || extras+=",$extra"
     done
-    local stamp=".venv/stamp-$extras"
+    local stamp="$environment/stamp-$extras"
     ! is_current "$stamp" || return 0
 
+    /usr/bin/python3 -c 'import sys; sys.exit(sys.version_info < (3, 12))' || [ "$environment" != .venv-wheel ] ||
+        die "the wheel of dolfinx needs Python >= 3.12, and /usr/bin/python3 is older; \`make test-wheel\` uses Debian 13's"
+
     # Another path, another Python, or an attempt that was cut short: begin anew.
-    if [ "$(cat .venv/checkout 2>/dev/null)" != "$PWD" ] || ! .venv/bin/python -c '' 2>/dev/null; then
-        say "making .venv"
-        rm -rf .venv
-        /usr/bin/python3 -m venv --system-site-packages .venv
-        pwd >.venv/checkout
+    if [ "$(cat "$environment/checkout" 2>/dev/null)" != "$PWD" ] || ! "$environment/bin/python" -c '' 2>/dev/null; then
+        say "making $environment"
+        rm -rf "$environment"
+        /usr/bin/python3 -m venv "${options[@]}" "$environment"
+        pwd >"$environment/checkout"
     fi
 
-    say "installing this project, with [$extras], into .venv"
-    constraints >.venv/constraints.txt
-    retry .venv/bin/python -m pip install --quiet --disable-pip-version-check \
-        --only-binary "$(IFS=,; echo "${pinned[*]}")" --constraint .venv/constraints.txt --editable ".[$extras]" ||
+    say "installing this project, with [$extras], into $environment"
+    constraints >"$environment/constraints.txt"
+    local binary=:all:
+    [ ${#pinned[@]} = 0 ] || binary=$(IFS=,; echo "${pinned[*]}")
+    retry "$environment/bin/python" -m pip install --quiet --disable-pip-version-check \
+        --only-binary "$binary" --constraint "$environment/constraints.txt" --editable ".[$extras]" ||
         die "pip could not install this project's [$extras]"
-    pwd | tee .venv/stamp-dev >"$stamp"
+    pwd | tee "$basic" >"$stamp"
 }
 
 debian_packages

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import mesh
 from mpi4py import MPI
+from dolfinx import mesh
 
 
 def facet_measure(domain: mesh.Mesh, *where: Callable[[Any], Any], quadrature_degree: int) -> ufl.Measure:

@@ -9,7 +9,7 @@ from typing import Any
 
 import ufl
 
-from tigar_x import checks
+from tigar_x import checks, compat
 
 EPSILON = 3e-16
 """Keeps the square root in tau_M differentiable where everything in it vanishes."""
@@ -125,7 +125,7 @@ def stabilization_parameters(
 
 def is_linear_simplex(domain: Any, degree: int) -> bool:
     """Whether second derivatives of the discrete velocity vanish: degree 1 on a simplex."""
-    return degree == 1 and domain.ufl_cell().cellname() in ("interval", "triangle", "tetrahedron")
+    return degree == 1 and compat.cell_name(domain) in ("interval", "triangle", "tetrahedron")
 
 
 def interior_residual(

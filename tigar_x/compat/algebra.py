@@ -1,0 +1,104 @@
+"""Vectors, matrices, assembly and strong boundary conditions."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from dolfinx import fem, la
+from dolfinx.fem import petsc
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from tigar_x.compat.release import VERSION, FloatArray, IntArray
+from tigar_x.compat.spaces import component_space, component_view
+
+_ADD = la.ScatterMode.add if VERSION < (0, 9) else la.InsertMode.add  # type: ignore[attr-defined]
+
+
+def petsc_vector(function: fem.Function) -> PETSc.Vec:
+    """PETSc vector that shares memory with a function."""
+    return function.vector if VERSION < (0, 9) else function.x.petsc_vec
+
+
+def accumulate(function: fem.Function) -> None:
+    """Add the values of ghosts to those of their owners, and update the ghosts (collective)."""
+    function.x.scatter_reverse(_ADD)
+    function.x.scatter_forward()
+
+
+def create_vector(space: fem.FunctionSpace) -> PETSc.Vec:
+    """Zero vector with ghosts, in the layout of a space."""
+    index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
+    return PETSc.Vec().createGhost(
+        index_map.ghosts.astype(PETSc.IntType),
+        size=(size * index_map.size_local, size * index_map.size_global),
+        bsize=size,
+        comm=space.mesh.comm,
+    )
+
+
+def create_matrix(form: Any, kind: str) -> PETSc.Mat:
+    """Empty matrix with the sparsity of a compiled bilinear form.
+
+    Args:
+        form: compiled form.
+        kind: PETSc type, "aij" or "baij".
+    """
+    return petsc.create_matrix(form, kind)
+
+
+def assemble_vector(b: PETSc.Vec, form: Any) -> None:
+    """Overwrite the local part of ``b``, ghosts included, by the assembled form; ghosts are not yet summed."""
+    with b.localForm() as local:
+        local.set(0.0)
+    petsc.assemble_vector(b, form)
+
+
+def assemble_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
+    """Overwrite ``A`` by the assembled form with unit rows at the dofs of ``bcs``; assembly is not finished."""
+    A.zeroEntries()
+    petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
+
+
+def assemble_scalar(form: Any) -> float:
+    """Value of a compiled functional, summed over all ranks."""
+    return float(form.mesh.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))
+
+
+def constrained_dofs(bcs: Sequence[Any]) -> IntArray:
+    """Local dofs (owned and ghosts) that strong boundary conditions prescribe, unblocked, sorted."""
+    parts = [bc.dof_indices()[0] for bc in bcs]
+    return np.unique(np.concatenate(parts)).astype(np.int32) if parts else np.empty(0, dtype=np.int32)
+
+
+def apply_values(function: fem.Function, bcs: Sequence[Any]) -> None:
+    """Write the prescribed values of ``bcs`` into ``function``, ghosts included."""
+    if bcs:
+        petsc.set_bc(petsc_vector(function), list(bcs))
+        function.x.scatter_forward()
+
+
+def pin_component(
+    space: fem.FunctionSpace, component: int, where: Callable[[FloatArray], NDArray[np.bool_]], value: float = 0.0
+) -> Any:
+    """Strong condition on one component at the nodes that a predicate selects.
+
+    Args:
+        space: blocked or mixed space.
+        component: index of the component.
+        where: maps coordinates of shape (3, n) to a mask of shape (n,).
+        value: prescribed value, in the unit of the component.
+
+    Returns:
+        A dolfinx boundary condition.
+
+    Raises:
+        ValueError: no node on any rank satisfies ``where``.
+    """
+    collapsed, parent = component_space(space, component)
+    nodes = np.flatnonzero(where(collapsed.tabulate_dof_coordinates().T))
+    if space.mesh.comm.allreduce(len(nodes), op=MPI.SUM) == 0:
+        raise ValueError(f"where = {where!r} selects no node of component {component}; at least one is needed")
+    dofs = np.sort(parent[nodes]).astype(np.int32)
+    return fem.dirichletbc(PETSc.ScalarType(value), dofs, component_view(space, component))

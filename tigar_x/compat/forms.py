@@ -1,0 +1,88 @@
+"""Form compilation: the C flags, the cache key and the time it takes."""
+
+import hashlib
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ufl
+import ufl.sorting
+from dolfinx import fem
+
+from tigar_x.compat.release import VERSION
+
+# UFL, up to 2026.1 at least, orders Constants by their printed count, so that 100 comes before 99 and the cache key of a
+# form depends on how many Constants a process made before it; by number the order is stable.
+ufl.sorting._terminal_cmps[ufl.Constant._ufl_typecode_] = ufl.sorting._cmp_coefficient
+
+
+def _processor() -> str:
+    """What ``-march=native`` depends on, so that a cache shared between machines never mixes them."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    keys = ("model name", "flags", "Features", "CPU part")
+    known = sorted({line for line in lines if line.startswith(keys)})
+    return hashlib.sha1("".join([platform.machine(), *known]).encode()).hexdigest()[:12]
+
+
+# The members of -ffast-math that change neither the meaning of NaN and Inf nor the processor's treatment of denormals:
+# -ffinite-math-only would make NaN tests lie, and linking with -ffast-math sets flush-to-zero for the whole process.
+C_FLAGS = [
+    "-O2",
+    "-g0",
+    "-march=native",
+    "-ftree-vectorize",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-signed-zeros",
+    "-fassociative-math",
+    "-freciprocal-math",
+    f"-DTIGAR_X_PROCESSOR={int(_processor(), 16)}ULL",
+]
+JIT: dict[str, Any] = {
+    "jit_params" if VERSION < (0, 9) else "jit_options": {"cffi_extra_compile_args": C_FLAGS, "timeout": 600}
+}
+"""Keyword argument of everything in dolfinx that compiles."""
+_compile_seconds = np.zeros(2)
+
+
+def compile_seconds() -> float:
+    """Wall seconds that this process has spent in building or loading forms and expressions so far [s]."""
+    return float(_compile_seconds[0])
+
+
+def compile_cpu_seconds() -> float:
+    """CPU seconds of this process in the same; a compiler that it waits for is another process [s]."""
+    return float(_compile_seconds[1])
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Count the time inside the ``with`` statement as compilation."""
+    start = np.array([time.perf_counter(), time.process_time()])
+    try:
+        yield
+    finally:
+        _compile_seconds[:] += np.array([time.perf_counter(), time.process_time()]) - start
+
+
+def compile_forms(*forms: ufl.Form) -> list[Any]:
+    """Compile UFL forms with the project's C flags.
+
+    All signatures are computed before the first compilation, because dolfinx 0.5 numbers coefficients on first use
+    and a form's cache key would otherwise depend on what was compiled before it.
+
+    Args:
+        forms: UFL forms on one mesh.
+
+    Returns:
+        The compiled dolfinx forms, in the same order.
+    """
+    with compiling():
+        for form in forms:
+            form.signature()
+        return [fem.form(form, **JIT) for form in forms]

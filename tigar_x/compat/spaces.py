@@ -1,0 +1,155 @@
+"""Elements, function spaces, where their dofs lie, and interpolation."""
+
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+
+from tigar_x.compat.forms import JIT, compiling
+from tigar_x.compat.meshes import cell_name
+from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
+
+# Nodes lie at Gauss-Lobatto-Legendre points, which is the default of all releases.
+if VERSION < (0, 9):
+    from basix.ufl_wrapper import convert_ufl_element
+
+    def _lagrange(cell: str, degree: int, size: int, discontinuous: bool) -> Any:
+        element = ufl.FiniteElement("DG" if discontinuous or degree == 0 else "Lagrange", cell, degree)
+        return ufl.VectorElement(element, dim=size) if size > 1 else element
+
+    def _mixed(elements: list[Any]) -> Any:
+        return ufl.MixedElement(elements)
+
+    def _function_space(domain: mesh.Mesh, element: Any) -> fem.FunctionSpace:
+        with compiling():
+            return fem.FunctionSpace(domain, element, **JIT)
+
+    def _scalar_element(space: fem.FunctionSpace) -> Any:
+        element = space.ufl_element()
+        while element.num_sub_elements():
+            element = element.sub_elements()[0]
+        return convert_ufl_element(element)
+
+else:
+    import basix.ufl
+
+    def _lagrange(cell: str, degree: int, size: int, discontinuous: bool) -> Any:
+        shape = (size,) if size > 1 else None
+        return basix.ufl.element("DG" if discontinuous or degree == 0 else "Lagrange", cell, degree, shape=shape)
+
+    def _mixed(elements: list[Any]) -> Any:
+        return basix.ufl.mixed_element(elements)
+
+    def _function_space(domain: mesh.Mesh, element: Any) -> fem.FunctionSpace:
+        return fem.functionspace(domain, element)  # type: ignore[attr-defined]
+
+    def _scalar_element(space: fem.FunctionSpace) -> Any:
+        return space.ufl_element().basix_element
+
+
+def lagrange_space(domain: mesh.Mesh, degree: int, size: int = 1, *, discontinuous: bool = False) -> fem.FunctionSpace:
+    """Nodal Lagrange space with Gauss-Lobatto-Legendre node placement.
+
+    Args:
+        domain: mesh.
+        degree: polynomial degree; 0 gives one constant per cell.
+        size: number of components; 1 gives a scalar space, more a node-blocked vector space.
+        discontinuous: whether every cell owns its nodes.
+
+    Returns:
+        The function space.
+    """
+    return _function_space(domain, _lagrange(cell_name(domain), degree, size, discontinuous))
+
+
+def mixed_space(domain: mesh.Mesh, *parts: tuple[int, int]) -> fem.FunctionSpace:
+    """Mixed Lagrange space.
+
+    Args:
+        domain: mesh.
+        parts: (degree, number of components) of every part.
+
+    Returns:
+        The function space; component ``i`` of its functions counts through the parts in order.
+    """
+    elements = [_lagrange(cell_name(domain), degree, size, False) for degree, size in parts]
+    return _function_space(domain, _mixed(elements))
+
+
+def component_space(space: fem.FunctionSpace, component: int) -> tuple[fem.FunctionSpace, IntArray]:
+    """Scalar space of one component of a scalar, blocked or mixed space, and where its dofs lie in the parent.
+
+    Args:
+        space: any Lagrange space or mixed space of such.
+        component: index of the component, counted through all parts.
+
+    Returns:
+        The collapsed scalar space, and for each of its local dofs (owned, then ghosts) the local index in the
+        parent's array.
+
+    Raises:
+        IndexError: no such component.
+    """
+    if space.num_sub_spaces == 0:
+        if component:
+            raise IndexError(f"component = {component}: the space is scalar, allowed is 0")
+        dofmap = space.dofmap
+        return space, np.arange(dofmap.index_map.size_local + dofmap.index_map.num_ghosts, dtype=np.int32)
+    collapsed, parent = component_view(space, component).collapse()
+    return collapsed, np.asarray(parent if VERSION < (0, 11) else parent[0], dtype=np.int32)
+
+
+def component_view(space: fem.FunctionSpace, component: int) -> fem.FunctionSpace:
+    """Sub space of one component, as strong conditions want it; arguments as in :func:`component_space`."""
+    sub, remaining = space, component
+    while sub.num_sub_spaces:
+        for i in range(sub.num_sub_spaces):
+            width = max(sub.sub(i).num_sub_spaces, 1)
+            if remaining < width:
+                sub = sub.sub(i)
+                break
+            remaining -= width
+        else:
+            raise IndexError(f"component = {component}: the space has no such component")
+    return sub
+
+
+def cell_dofs(space: fem.FunctionSpace) -> IntArray:
+    """Local (block) dof numbers of every local cell, shape (cells, dofs per cell)."""
+    return table(space.dofmap.list)
+
+
+def tabulate(space: fem.FunctionSpace, points: FloatArray) -> FloatArray:
+    """Scalar basis functions of a Lagrange space at reference points.
+
+    Args:
+        space: scalar or blocked Lagrange space on a simplex or tensor cell.
+        points: reference coordinates, shape (n, topological dimension).
+
+    Returns:
+        Values, shape (n, dofs per cell).
+    """
+    if not len(points):
+        return np.empty((0, cell_dofs(space).shape[1]))
+    return _scalar_element(space).tabulate(0, points)[0].reshape(len(points), -1)
+
+
+def node_points(space: fem.FunctionSpace) -> FloatArray:
+    """Reference coordinates of the nodes of a Lagrange space, shape (dofs per cell, topological dimension)."""
+    points = space.element.interpolation_points
+    return np.asarray(points() if VERSION < (0, 11) else points)
+
+
+def interpolate(function: fem.Function, expression: Any) -> None:
+    """Interpolate a UFL expression into ``function`` (collective on its mesh).
+
+    Args:
+        function: target, in a Lagrange space.
+        expression: UFL expression of the same value shape.
+    """
+    points = node_points(function.function_space)
+    with compiling():
+        compiled = fem.Expression(expression, points, **JIT)
+    function.interpolate(compiled)
+    function.x.scatter_forward()
