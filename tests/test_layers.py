@@ -65,6 +65,11 @@ def test_no_star_print_assert_or_exit(path):
             assert node.func.id not in ("print", "exit"), f"{node.func.id} in line {node.lineno}"
 
 
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_only_compat_branches_on_a_version(path):
+    assert path.parent.name == "compat" or "VERSION" not in path.read_text()
+
+
 def test_demos_do_not_import_each_other():
     demos = sorted((ROOT / "demos").glob("*.py"))
     assert demos

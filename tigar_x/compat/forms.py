@@ -15,8 +15,8 @@ from dolfinx import fem
 
 from tigar_x.compat.release import VERSION
 
-# UFL, up to 2026.1 at least, orders Constants by their printed count, so that 100 comes before 99 and the cache key of a
-# form depends on how many Constants a process made before it; by number the order is stable.
+# UFL, up to 2026.1 at least, orders Constants by their printed count, so that 100 comes before 99 and the cache key of
+# a form depends on how many Constants a process made before it; by number the order is stable.
 ufl.sorting._terminal_cmps[ufl.Constant._ufl_typecode_] = ufl.sorting._cmp_coefficient
 
 
