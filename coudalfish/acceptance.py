@@ -1,5 +1,6 @@
 """When the block iteration of a step has converged, stalls or diverges."""
 
+import math
 from collections.abc import Callable
 
 from coudalfish.options import CouplingOptions
@@ -93,9 +94,10 @@ class Acceptance:
 
     def failure(self) -> RejectedStepError:
         """The error that the limit of passes has been reached, naming the block that is further from convergence."""
-        ratios = [self._ratio(0), self._ratio(1)]
+        pairs = zip(self.history[-1], self.limits, strict=True)
+        ratios = [norm / limit if limit else (math.inf if norm else 0.0) for norm, limit in pairs]
         return RejectedStepError(
             BLOCKS[ratios.index(max(ratios))],
-            f"no convergence in {self._options.max_passes} passes (residuals relative to the first: "
-            f"fluid {ratios[0]:.3g}, shell {ratios[1]:.3g}, required {self._options.block_rtol:g})",
+            f"no convergence in {self._options.max_passes} passes (residuals relative to the accepted ones: "
+            f"fluid {ratios[0]:.3g}, shell {ratios[1]:.3g})",
         )

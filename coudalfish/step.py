@@ -29,6 +29,8 @@ PENALTY_LIMIT = 100.0
 """Largest penalty relative to the impedance of the flow at which block iteration converges well."""
 UNDER_RELAXATION = 0.5
 """Share of the shell's increments that a cautious attempt takes."""
+TIME_STEP_LIMIT = 1e-3
+"""Smallest time step relative to the scales of the fluid's cells, dt (|u|/h + nu/h^2), before a warning."""
 COURANT_LIMIT = 0.5
 """Largest displacement per step relative to the fluid's cells that explicit geometry bears well."""
 
@@ -213,6 +215,7 @@ class Step:
         monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
         self.c.lam = lam
         report = self.report(monitors)
+        self._warn_of_small_step()
         if report.slip_ratio > SLIP_LIMIT:
             self.c.warn_once(
                 "slip",
@@ -223,6 +226,23 @@ class Step:
                 self.beta,
             )
         return report
+
+    def _warn_of_small_step(self) -> None:
+        if self.fluid.density is None or self.fluid.viscosity is None:
+            return
+        h = self.fluid.mesh_size
+        viscous = self.dt * self.fluid.viscosity / (self.fluid.density * h**2)
+        if viscous >= TIME_STEP_LIMIT:
+            return
+        scale = viscous + self.dt * self.fluid.speed() / h
+        if scale < TIME_STEP_LIMIT:
+            self.c.warn_once(
+                "time step",
+                "dt (|u|/h + nu/h^2) = %.3g is below %g: the stabilisation vanishes with dt and the pressure may "
+                "oscillate; raise dt or refine the fluid mesh",
+                scale,
+                TIME_STEP_LIMIT,
+            )
 
     def report(self, monitors: Monitors | None) -> StepReport:
         """What has been done so far."""
