@@ -1,20 +1,17 @@
 """Where the time of a step goes: shares of assembly, solve, shell and coupling, by Python's profiler."""
 
 import cProfile
-import importlib.util
 import logging
 import pstats
 from pathlib import Path
 from typing import Any, Literal
 
+from load import load_demo
+
 from coudalfish import CouplingOptions
 from tigar_x import script
 
-_spec = importlib.util.spec_from_file_location(
-    "manufactured_demo", Path(__file__).resolve().parent.parent / "demos" / "manufactured.py"
-)
-demo = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(demo)
+demo = load_demo("manufactured")
 
 # Cumulative times of (file, function); what a function does inside another one of the table is taken from that one.
 PARTS = {

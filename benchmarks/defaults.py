@@ -4,22 +4,19 @@ CPU seconds of one process; within a table they may be compared, as the runs fol
 """
 
 import csv
-import importlib.util
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from load import load_demo
+
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x import script
 from tigar_x.linear import LinearSolver, direct, gmres_ilu
 
-_spec = importlib.util.spec_from_file_location(
-    "manufactured_demo", Path(__file__).resolve().parent.parent / "demos" / "manufactured.py"
-)
-demo = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(demo)
+demo = load_demo("manufactured")
 
 HEADER = ("setting", "steps", "passes", "linear", "CPU s", "L2 u", "H1 u", "L2 p", "L2 y")
 DEFAULT = CouplingOptions()

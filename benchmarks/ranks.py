@@ -1,6 +1,5 @@
 """The same errors on any number of ranks, and what a second rank brings."""
 
-import importlib.util
 import json
 import logging
 import os
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mpi4py import MPI
+from load import load_demo
 
 from coudalfish import CouplingOptions
 from tigar_x import script
@@ -22,9 +22,7 @@ TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-14)
 
 def measure(dim: int, level: int, tight: bool, steps: int) -> dict[str, Any]:
     """Errors after some steps, and wall seconds per step, on the ranks of this run."""
-    spec = importlib.util.spec_from_file_location("demo", HERE.parent.parent / "demos" / "manufactured.py")
-    demo = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(demo)
+    demo = load_demo("manufactured")
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     data, whole = demo.Data(), 2 * demo.cells_per_side(level)
     options, solver = (TIGHT, direct()) if tight else (CouplingOptions(), None)

@@ -9,7 +9,6 @@ the same outcomes that this script tabulates. The scenes are plane and small:
 """
 
 import csv
-import importlib.util
 import json
 import logging
 import math
@@ -28,6 +27,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
+from load import load_demo
 
 from coudalfish import (
     CouDALFISh,
@@ -252,13 +252,7 @@ def box(
 
 def demo() -> Any:
     """The manufactured problem's module."""
-    path = Path(__file__).resolve().parent.parent / "demos" / "manufactured.py"
-    spec = importlib.util.spec_from_file_location("manufactured_demo", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is not a module")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_demo("manufactured")
 
 
 # -- running ----------------------------------------------------------------------------------------------------------

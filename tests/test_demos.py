@@ -6,7 +6,8 @@ import sys
 import xml.etree.ElementTree as ET
 
 import pytest
-from on_disk import DEMOS, ROOT, load_demo
+from load import load_demo
+from on_disk import DEMOS, ROOT
 
 COMMON = {"demo", "inputs", "compile_s", "wall_s", "cpu_s", "peak_rss_mib", "versions"}
 

@@ -5,23 +5,10 @@ its docstring and asserts the strongest statement that is true.
 """
 
 import csv
-import importlib.util
-import sys
 
 import numpy as np
 import pytest
-from on_disk import ROOT
-
-
-def load_benchmark(name):
-    """Module of a benchmark, by its name; its data classes look it up among the modules."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-stability = load_benchmark("stability")
+import stability
 
 
 def outcomes(name):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
-from on_disk import load_demo
+from load import load_demo
 
 from coudalfish import CouplingOptions, PenaltyRule
 

@@ -173,21 +173,9 @@ def interior_residual(
     Raises:
         ValueError: a number out of range, v or f of a wrong shape, v_t without dt or dt without v_t.
     """
-    checks.parameter("rho", rho, checks.positive)
-    checks.parameter("mu", mu, checks.not_negative)
     k = checks.whole("degree", degree, 1)
-    for name, value in (("C_I", C_I), ("C_t", C_t), ("scale_m", scale_m)):
-        checks.parameter(name, value, checks.not_negative)
-    checks.parameter("scale_c", scale_c, checks.positive)
-    if f is not None and f.ufl_shape != v.ufl_shape:
-        raise ValueError(f"f has shape {f.ufl_shape}: shape {v.ufl_shape} is required")
-    d = domain.geometry.dim
-    if v.ufl_shape != (d,):
-        raise ValueError(f"v has shape {v.ufl_shape}: a mesh of dimension {d} requires ({d},)")
-    if (v_t is None) != (dt is None):
-        raise ValueError("v_t and dt belong together: both are required for unsteady flow, neither for steady flow")
-    if dt is not None:
-        checks.parameter("dt", dt, checks.positive)
+    _check_numbers(rho=rho, mu=mu, dt=dt, C_I=C_I, C_t=C_t, scale_m=scale_m, scale_c=scale_c)
+    _check_fields(v, f, v_t, dt, domain.geometry.dim)
 
     dx = ufl.dx(
         domain=domain, metadata={"quadrature_degree": 2 * k if quadrature_degree is None else quadrature_degree}
@@ -205,3 +193,18 @@ def interior_residual(
     cross_stress = ufl.inner(w, ufl.grad(v) * v_fine)
     reynolds_stress = ufl.inner(ufl.grad(w), ufl.outer(v_fine, v_fine)) / rho
     return (galerkin - advection - p_fine * ufl.div(w) + cross_stress - reynolds_stress) * dx
+
+
+def _check_numbers(**numbers: Any) -> None:
+    may_vanish = ("mu", "C_I", "C_t", "scale_m")
+    for name, value in numbers.items():
+        checks.parameter(name, value, checks.not_negative if name in may_vanish else checks.positive)
+
+
+def _check_fields(v: Any, f: Any, v_t: Any, dt: Any, d: int) -> None:
+    if v.ufl_shape != (d,):
+        raise ValueError(f"v has shape {v.ufl_shape}: a mesh of dimension {d} requires ({d},)")
+    if f is not None and f.ufl_shape != v.ufl_shape:
+        raise ValueError(f"f has shape {f.ufl_shape}: shape {v.ufl_shape} is required")
+    if (v_t is None) != (dt is None):
+        raise ValueError("v_t and dt belong together: both are required for unsteady flow, neither for steady flow")
