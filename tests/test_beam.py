@@ -147,3 +147,27 @@ def test_string(N_0, elements):
     system.subtract(system.solve())
     s = spline.node_positions[:, 0]
     np.testing.assert_allclose(spline.nodal(y), np.column_stack([0 * s, -f * s * (L - s) / (2 * N_0)]), atol=1e-13)
+
+
+def bent_tip(degree, elements, h, steps=8):
+    """Tip of a cantilever of length 1 under P L^2/(E' I) = 4, over which membrane stiffness towers as it gets thin."""
+    force = 4.0 * PLANE_STRAIN * h**3 / 12
+    beam = cantilever(degree, elements, L=1.0, h=h, load=force)
+    for k in range(1, steps + 1):
+        beam.time.t.value = k / steps
+        newton(beam.system, rtol=0.0, atol=2e-6 * force, max_iterations=60)
+    return np.array(beam.tip())
+
+
+def locking(degree, h):
+    """Error of the tip with 16 elements, against 32 elements of degree 5."""
+    return np.abs(bent_tip(degree, 16, h) - bent_tip(5, 32, h)).max()
+
+
+def test_quartic_beams_do_not_lock_and_quadratic_ones_do():
+    thickness = (1e-1, 1e-2, 1e-3, 1e-4)
+    quartic = [locking(4, h) for h in thickness]
+    assert max(quartic) <= 2 * quartic[0]
+    assert quartic[0] < 1e-4
+    assert locking(3, 1e-3) < 2e-3
+    assert locking(2, 1e-3) > 0.1
