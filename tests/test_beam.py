@@ -155,7 +155,7 @@ def bent_tip(degree, elements, h, steps=8):
     beam = cantilever(degree, elements, L=1.0, h=h, load=force)
     for k in range(1, steps + 1):
         beam.time.t.value = k / steps
-        newton(beam.system, rtol=0.0, atol=2e-6 * force, max_iterations=60)
+        newton(beam.system, rtol=0.0, atol=3e-5 * force, max_iterations=60)
     return np.array(beam.tip())
 
 
