@@ -111,8 +111,8 @@ class Step:
             norm_f = self._fluid_residual()
             if before and self._accepted(norm_f, self._shell_residual()):
                 return
-            fresh = self.passes in (0, self.options.accelerate_after) or self.acceptance.stalled
-            fresh = fresh or self.options.tangent_update == "pass"
+            begins = self.accelerated and self.passes == self.options.accelerate_after
+            fresh = self.passes == 0 or begins or self.acceptance.stalled or self.options.tangent_update == "pass"
             self._solve_fluid(fresh)
             self.u = self.fluid.velocity_at(self.trace)
             norm_s = self._shell_residual()

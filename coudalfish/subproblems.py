@@ -137,7 +137,7 @@ class FluidSubproblem:
         return float(np.sqrt(self.comm.allreduce(float(square), op=MPI.SUM)))
 
     def coupling_norm(self, trace: TraceMatrix, forces: FloatArray) -> float:
-        """Norm of point forces on the fluid's nodes (collective, but for nodes that ranks share); unit: force."""
+        """Norm of point forces on the fluid's nodes (collective; a node of two ranks counts in parts); unit: force."""
         nodal = trace.transposed @ forces
         return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 

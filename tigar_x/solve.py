@@ -139,7 +139,8 @@ class SplineSystem:
         spline: the extracted spline.
         residual: UFL residual in ``spline.V``.
         tangent: UFL tangent; the unknown is what the caller differentiated by.
-        solver: linear solver recipe.
+        solver: linear solver recipe; None: direct.
+        unknown: what :meth:`subtract` moves; None: the caller adds increments itself.
         zero_dofs: spline coefficients whose increments vanish; None: those of the spline.
 
     Attributes:
