@@ -187,7 +187,7 @@ def duct(
     s = line.points[:, 1]
     arc = line.points + np.outer(4.0 * bow * s * (1.0 - s), (1.0, 0.0))
     patch = Patch.from_points(line.bases, arc)
-    clamped = np.concatenate([patch.side_dofs(0, side) for side in (0, 1)])
+    clamped = np.concatenate([patch.side_dofs(side) for side in ("u0", "u1")])
     shell = sheet(patch, dt, rho_infinity, clamped if flexible else np.arange(2 * len(arc)), **material)
     fsi = CouDALFISh(fluid, shell.problem, options)
     v = split(fluid.timeInt.x)[0]
@@ -240,7 +240,7 @@ def box(
     patch = Patch.from_points(straight.bases, straight.points @ Q.T + shift)
     s = straight.points[:, 1]
     wave = np.outer(0.0 * s if free else amplitude * np.sin(2.0 * np.pi * s), Q[:, 0])
-    clamped = [] if free else np.concatenate([patch.side_dofs(0, side) for side in (0, 1)])
+    clamped = [] if free else np.concatenate([patch.side_dofs(side) for side in ("u0", "u1")])
     shell = sheet(
         patch, dt, rho_infinity, clamped, displacement=wave, velocity=np.tile(Q @ velocity, (len(s), 1)), **material
     )

@@ -186,7 +186,7 @@ def make_membrane(data: Data, d: int, elements: int, dt: float, projected: bool)
     else:
         sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
         patch = shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
-    fixed = [patch.side_dofs(0, 0), patch.side_dofs(0, 1), np.arange(2, d * patch.basis.n, 3) if d == 3 else []]
+    fixed = [patch.side_dofs("u0"), patch.side_dofs("u1"), np.arange(2, d * patch.basis.n, 3) if d == 3 else []]
     zero_dofs = np.concatenate(fixed).astype(int)
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
     c = constants(spline.mesh, data)

@@ -28,7 +28,7 @@ def cantilever(degree, elements, *, L, h, load, layers=2, direction=(1.0, 0.0)):
     t = np.array(direction) / np.linalg.norm(direction)
     across = np.array([-t[1], t[0]])
     patch = shapes.line((0, 0), L * t, elements=elements, degree=degree)
-    spline = ExtractedSpline(patch, MPI.COMM_SELF, zero_dofs=patch.side_dofs(0, 0, layers))
+    spline = ExtractedSpline(patch, MPI.COMM_SELF, zero_dofs=patch.side_dofs("u0", layers))
     y, z = spline.function(), ufl.TestFunction(spline.V)
     time = LoadStepper(y, 1.0)
     material = StVenantKirchhoff(E, NU, fem.Constant(spline.mesh, h))
@@ -135,7 +135,7 @@ def test_string(N_0, elements):
     L, f = 1.5, 0.3
     patch = shapes.line((0, 0), (L, 0), elements=elements, degree=2)
     spline = ExtractedSpline(
-        patch, MPI.COMM_SELF, zero_dofs=np.concatenate([patch.side_dofs(0, 0), patch.side_dofs(0, 1)])
+        patch, MPI.COMM_SELF, zero_dofs=np.concatenate([patch.side_dofs("u0"), patch.side_dofs("u1")])
     )
     material = StVenantKirchhoff(10.0, 0.3, 0.1, prestress=(N_0,), bending=False)
     y, z = spline.function(), ufl.TestFunction(spline.V)

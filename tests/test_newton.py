@@ -120,7 +120,7 @@ class TestSplineSystem:
 
     def make(self, **options):
         patch = shapes.line((0, 0), (2, 1), elements=4, degree=2)
-        spline = ExtractedSpline(patch, MPI.COMM_SELF, zero_dofs=patch.side_dofs(0, 0))
+        spline = ExtractedSpline(patch, MPI.COMM_SELF, zero_dofs=patch.side_dofs("u0"))
         u, du, v = fem.Function(spline.V), ufl.TrialFunction(spline.V), ufl.TestFunction(spline.V)
         form = ufl.inner(u - 2 * spline.F, v) * spline.dx
         return spline, SplineSystem(spline, form, ufl.inner(du, v) * spline.dx, unknown=u, **options)

@@ -141,10 +141,10 @@ def test_one_layer_carries_the_side(direction, end):
 
 def test_sides_of_a_curve():
     patch = shapes.line((0, 0), (1, 1), elements=3, degree=2)  # 5 functions
-    np.testing.assert_array_equal(patch.side(0, 0), [0])
-    np.testing.assert_array_equal(patch.side(0, 1, 2), [3, 4])
-    np.testing.assert_array_equal(patch.side_dofs(0, 1, 2, components=[1]), [7, 9])
-    assert patch.side_dofs(0, 0, components=[]).size == 0
+    np.testing.assert_array_equal(patch.side("u0"), [0])
+    np.testing.assert_array_equal(patch.side("u1", 2), [3, 4])
+    np.testing.assert_array_equal(patch.side_dofs("u1", 2, components=[1]), [7, 9])
+    assert patch.side_dofs("u0", components=[]).size == 0
 
 
 @pytest.mark.parametrize(
@@ -169,9 +169,9 @@ def test_unknown_sides(arguments, message):
 
 def test_unknown_components_and_directions():
     with pytest.raises(ValueError, match=r"components = 2: one of 0, 1 is"):
-        surface(nsd=2).side_dofs(0, 0, components=[0, 2])
+        surface(nsd=2).side_dofs("u0", components=[0, 2])
     with pytest.raises(ValueError, match=r"direction = 1: one of 0 is required"):
-        quarter_circle().side(1, 0)
+        quarter_circle().side("v0")
 
 
 # -- shapes -----------------------------------------------------------------------------------------------------------

@@ -71,7 +71,7 @@ def mass(s, factor=1.0, f=None, **options):
 def test_mass_matrix_and_its_symbolic_reuse(name):
     s = spline(name)
     factor = fem.Constant(s.mesh, 1.0)
-    zero = s.patch.side_dofs(0, 1, 2)
+    zero = s.patch.side_dofs("u1", 2)
     free, held = mass(s, factor), mass(s, factor, zero_dofs=zero)
     for system in (free, held):
         system.assemble_tangent()
@@ -126,7 +126,7 @@ def test_projections(name):
 
 def test_constrained_projection_keeps_the_zero_dofs():
     patch = PATCHES["parallelogram"]()
-    s = ExtractedSpline(patch, zero_dofs=patch.side_dofs(0, 0))
+    s = ExtractedSpline(patch, zero_dofs=patch.side_dofs("u0"))
     u = s.project(ufl.as_vector([1.0, 2.0, 3.0]), constrained=True)
     at_start = np.isclose(s.V_scalar.tabulate_dof_coordinates()[:, 0], 0.0)
     assert not s.nodal(u)[at_start].any()

@@ -1,75 +1,60 @@
 """A spline geometry as data: degrees, knots and homogeneous control points."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.linalg import splu
 
 from tigar_x import checks
 from tigar_x.bspline import BSplineBasis, TensorBasis
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.functions import SplineFunctions
+
+SIDES = {f"{axis}{end}": (direction, end) for direction, axis in enumerate("uvw") for end in (0, 1)}
+"""Names of the sides: the direction that is normal to the side, and its start (0) or end (1)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
-    """One B-spline or NURBS patch: a curve (parametric dimension 1) or a surface (2).
+class ControlNet:
+    """What all spline geometries share: functions, and a homogeneous control point for each of them.
 
     Attributes:
-        bases: univariate bases, one per parametric direction.
-        control: homogeneous control points (w x, w), first direction fastest, shape (n, nsd + 1); unit: length.
-
-    Raises:
-        ValueError: wrong shape, non-finite control points or weights that are not positive.
+        functions: the functions.
+        control: homogeneous control points (w x, w), shape (n, nsd + 1); unit: length.
     """
 
-    bases: tuple[BSplineBasis, ...]
+    functions: SplineFunctions
     control: FloatArray
 
-    def __post_init__(self) -> None:
-        if len(self.bases) not in (1, 2):
-            raise ValueError(f"bases has {len(self.bases)} directions: 1 or 2 are supported")
-        control = checks.array("control", self.control, (self.basis.n, None)).copy()
-        if not self.dim < control.shape[1] <= 4:
-            allowed = f"{self.dim + 1} to 4 columns (w x, w)"
-            raise ValueError(f"control has {control.shape[1]} columns: a patch of dimension {self.dim} takes {allowed}")
+    def _check_control(self) -> FloatArray:
+        dim = self.functions.dim
+        control = checks.array("control", self.control, (self.functions.n, None)).copy()
+        if not dim < control.shape[1] <= 4:
+            allowed = f"{dim + 1} to 4 columns (w x, w)"
+            raise ValueError(f"control has {control.shape[1]} columns: a patch of dimension {dim} takes {allowed}")
         if (control[:, -1] <= 0.0).any():
             i = int(np.argmax(control[:, -1] <= 0.0))
             raise ValueError(f"weight of control point {i} = {control[i, -1]}: weights > 0 are required")
         control.flags.writeable = False
-        object.__setattr__(self, "control", control)
+        return control
 
-    @classmethod
-    def from_points(cls, bases: Sequence[BSplineBasis], points: ArrayLike, weights: ArrayLike | None = None) -> "Patch":
-        """Patch from physical control points.
-
-        Args:
-            bases: univariate bases.
-            points: control points, first direction fastest, shape (n, nsd); unit: length.
-            weights: NURBS weights, shape (n,); None: a B-spline.
-
-        Returns:
-            The patch.
-        """
-        x = checks.array("points", points, (None, None))
-        w = np.ones(len(x)) if weights is None else checks.array("weights", weights, (len(x),))
-        return cls(tuple(bases), np.column_stack([x * w[:, None], w]))
-
-    @cached_property
-    def basis(self) -> TensorBasis:
-        """Tensor-product basis."""
-        return TensorBasis(self.bases)
+    @property
+    def n(self) -> int:
+        """Number of functions."""
+        return self.functions.n
 
     @property
     def dim(self) -> int:
         """Parametric dimension."""
-        return len(self.bases)
+        return self.functions.dim
 
     @property
     def nsd(self) -> int:
         """Dimension of physical space."""
-        return self.control.shape[1] - 1
+        return int(self.control.shape[1]) - 1
 
     @property
     def weights(self) -> FloatArray:
@@ -86,6 +71,141 @@ class Patch:
         """Whether the weights differ from one."""
         return bool((self.weights != 1.0).any())
 
+    def where(self, predicate: Callable[[FloatArray], NDArray[np.bool_]]) -> IntArray:
+        """Functions whose control points lie in a region.
+
+        Args:
+            predicate: maps physical control points of shape (nsd, n) to a mask of shape (n,).
+
+        Returns:
+            Function numbers, sorted.
+
+        Raises:
+            ValueError: the predicate selects nothing or does not return a mask.
+        """
+        mask = np.asarray(predicate(self.points.T))
+        if mask.shape != (self.n,) or mask.dtype != bool:
+            raise ValueError(
+                f"predicate returned {mask.dtype} of shape {mask.shape}: bool of shape ({self.n},) required"
+            )
+        if not mask.any():
+            raise ValueError(f"predicate = {predicate!r} selects no control point: at least one is required")
+        return np.flatnonzero(mask).astype(np.int32)
+
+    def dofs(self, functions: ArrayLike, components: Sequence[int] | None = None) -> IntArray:
+        """Degrees of freedom of a vector field with nsd components.
+
+        Args:
+            functions: function numbers.
+            components: components of the field; None: all ``nsd``.
+
+        Returns:
+            Numbers function * nsd + component, sorted.
+
+        Raises:
+            ValueError: no such component.
+        """
+        chosen = range(self.nsd) if components is None else components
+        parts = [checks.choice("components", c, tuple(range(self.nsd))) for c in chosen]
+        rows = np.asarray(functions, dtype=np.int32)
+        return np.unique(rows[:, None] * self.nsd + np.array(parts, dtype=np.int32)[None, :]).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch(ControlNet):
+    """One B-spline or NURBS patch: a curve (parametric dimension 1), a surface (2) or a volume (3).
+
+    Attributes:
+        bases: univariate bases, one per parametric direction.
+        control: homogeneous control points (w x, w), first direction fastest, shape (n, nsd + 1); unit: length.
+        side_names: further names of sides beside "u0", "u1", "v0", ..., each with its direction and end.
+
+    Raises:
+        ValueError: wrong shape, non-finite control points, weights that are not positive, or a name for no side.
+    """
+
+    bases: tuple[BSplineBasis, ...]
+    control: FloatArray
+    side_names: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.bases) not in (1, 2, 3):
+            raise ValueError(f"bases has {len(self.bases)} directions: 1, 2 or 3 are supported")
+        object.__setattr__(self, "control", self._check_control())
+        for name, (direction, end) in self.side_names.items():
+            checks.choice(f"side_names[{name!r}]", (direction, end), tuple(SIDES.values())[: 2 * self.dim])
+
+    @classmethod
+    def from_points(
+        cls,
+        bases: Sequence[BSplineBasis],
+        points: ArrayLike,
+        weights: ArrayLike | None = None,
+        side_names: Mapping[str, tuple[int, int]] | None = None,
+    ) -> "Patch":
+        """Patch from physical control points.
+
+        Args:
+            bases: univariate bases.
+            points: control points, first direction fastest, shape (n, nsd); unit: length.
+            weights: NURBS weights, shape (n,); None: a B-spline.
+            side_names: further names of sides.
+
+        Returns:
+            The patch.
+        """
+        x = checks.array("points", points, (None, None))
+        w = np.ones(len(x)) if weights is None else checks.array("weights", weights, (len(x),))
+        return cls(tuple(bases), np.column_stack([x * w[:, None], w]), side_names or {})
+
+    @classmethod
+    def from_splipy(cls, shape: Any, side_names: Mapping[str, tuple[int, int]] | None = None) -> "Patch":
+        """Patch from a splipy Curve, Surface or Volume (open in every direction).
+
+        Args:
+            shape: the splipy object.
+            side_names: further names of sides.
+
+        Returns:
+            The patch.
+
+        Raises:
+            ValueError: the object is periodic; splipy's ``split`` opens it.
+        """
+        if any(shape.periodic(direction) for direction in range(shape.pardim)):
+            raise ValueError(f"shape = {type(shape).__name__} is periodic: split it at its start first")
+        bases = tuple(BSplineBasis(basis.order - 1, basis.knots) for basis in shape.bases)
+        net = np.moveaxis(np.asarray(shape.controlpoints), -1, 0)
+        columns = np.column_stack([values.ravel(order="F") for values in net])
+        if not shape.rational:
+            columns = np.column_stack([columns, np.ones(len(columns))])
+        return cls(bases, columns, side_names or {})
+
+    def to_splipy(self) -> Any:
+        """The patch as splipy Curve, Surface or Volume, with weights where it has any.
+
+        Raises:
+            ValueError: the patch is periodic.
+        """
+        from splipy import BSplineBasis as Knots
+        from splipy import Curve, Surface, Volume
+
+        if any(basis.periodic for basis in self.bases):
+            raise ValueError("bases are periodic: only open patches go to splipy")
+        knots = [Knots(basis.degree + 1, basis.knots) for basis in self.bases]
+        net = self.control if self.rational else self.control[:, :-1]
+        return (Curve, Surface, Volume)[self.dim - 1](*knots, net, self.rational)
+
+    @cached_property
+    def basis(self) -> TensorBasis:
+        """Tensor-product basis."""
+        return TensorBasis(self.bases)
+
+    @cached_property
+    def functions(self) -> SplineFunctions:  # type: ignore[override]
+        """The functions, in the patch's own parameters."""
+        return SplineFunctions((self.basis,))
+
     def evaluate(self, xi: ArrayLike) -> FloatArray:
         """Physical points of parameters.
 
@@ -98,45 +218,206 @@ class Patch:
         homogeneous = self.basis.evaluate(xi) @ self.control
         return homogeneous[:, :-1] / homogeneous[:, -1:]
 
-    def side(self, direction: int, end: int, layers: int = 1) -> IntArray:
+    # -- sides --------------------------------------------------------------------------------------------------------
+
+    def locate_side(self, name: str) -> tuple[int, int]:
+        """Direction and end of a side.
+
+        Args:
+            name: "u0", "u1", "v0", ... or one of ``side_names``.
+
+        Returns:
+            The direction normal to the side, and 0 for its start or 1 for its end.
+
+        Raises:
+            ValueError: there is no such side; the message lists those there are.
+        """
+        known = dict(list(SIDES.items())[: 2 * self.dim]) | dict(self.side_names)
+        known = {key: place for key, place in known.items() if not self.bases[place[0]].periodic}
+        return known[checks.choice("name", name, tuple(known))]
+
+    def side(self, name: str, layers: int = 1) -> IntArray:
         """Functions next to a side.
 
         Args:
-            direction: parametric direction that is normal to the side.
-            end: 0 for the start, 1 for the end of that direction.
+            name: "u0", "u1", "v0", ... or one of ``side_names``.
             layers: rows of functions: 1 fixes the position of the side, 2 its tangent as well.
 
         Returns:
-            Function indices, sorted.
+            Function numbers, sorted.
 
         Raises:
             ValueError: there is no such side or not that many layers.
         """
-        checks.choice("direction", direction, tuple(range(self.dim)))
-        checks.choice("end", end, (0, 1))
+        direction, end = self.locate_side(name)
         n = self.bases[direction].n
         if checks.whole("layers", layers, 1) > n:
             raise ValueError(f"layers = {layers}: direction {direction} has only {n} functions")
-        index = np.arange(self.basis.n).reshape([basis.n for basis in self.bases], order="F")
         rows = np.arange(layers) if end == 0 else np.arange(n - layers, n)
-        return np.sort(np.take(index, rows, axis=direction).ravel()).astype(np.int32)
+        return np.sort(np.take(self._grid, rows, axis=direction).ravel()).astype(np.int32)
 
-    def side_dofs(self, direction: int, end: int, layers: int = 1, components: Sequence[int] | None = None) -> IntArray:
+    def side_dofs(self, name: str, layers: int = 1, components: Sequence[int] | None = None) -> IntArray:
         """Degrees of freedom of a vector field next to a side.
 
         Args:
-            direction: parametric direction that is normal to the side.
-            end: 0 for the start, 1 for the end of that direction.
+            name: see :meth:`side`.
             layers: rows of functions, see :meth:`side`.
             components: components of the field; None: all ``nsd``.
 
         Returns:
-            Indices function * nsd + component, sorted.
+            Numbers function * nsd + component, sorted.
 
         Raises:
             ValueError: no such side, layer or component.
         """
-        chosen = range(self.nsd) if components is None else components
-        parts = [checks.choice("components", c, tuple(range(self.nsd))) for c in chosen]
-        functions = self.side(direction, end, layers)
-        return np.sort((functions[:, None] * self.nsd + np.array(parts, dtype=np.int32)[None, :]).ravel())
+        return self.dofs(self.side(name, layers), components)
+
+    @property
+    def _grid(self) -> NDArray[np.int64]:
+        return np.arange(self.basis.n).reshape([basis.n for basis in self.bases], order="F")
+
+    # -- the same geometry, described otherwise -----------------------------------------------------------------------
+
+    def on(self, bases: Sequence[BSplineBasis]) -> "Patch":
+        """The same geometry on richer bases: knots inserted, degrees elevated, or both.
+
+        The control points follow from interpolation at the Greville abscissae, one direction after the other, which is
+        exact because the richer space contains the geometry.
+
+        Args:
+            bases: univariate bases over the same ranges, each containing the present one.
+
+        Returns:
+            The patch.
+
+        Raises:
+            ValueError: a basis does not contain the present one.
+        """
+        if len(bases) != self.dim:
+            raise ValueError(f"bases has {len(bases)} directions: {self.dim} are required")
+        net = self._net
+        for direction, (old, new) in enumerate(zip(self.bases, bases, strict=True)):
+            _require_containing(f"bases[{direction}]", old, new)
+            net = self._interpolated(net, direction, new, new.greville, new.greville)
+        return replace(self, bases=tuple(bases), control=self._columns(net))
+
+    @property
+    def _net(self) -> FloatArray:
+        """Control points as an array with one axis per direction and the columns last."""
+        return self.control.reshape([*(basis.n for basis in self.bases), -1], order="F")
+
+    def _columns(self, net: FloatArray) -> FloatArray:
+        control = net.reshape(-1, net.shape[-1], order="F")
+        if not self.rational:
+            control[:, -1] = 1.0
+        return control
+
+    def _interpolated(
+        self, net: FloatArray, direction: int, new: BSplineBasis, at: FloatArray, source: FloatArray
+    ) -> FloatArray:
+        """Net whose functions in one direction have at ``at`` the values that the present ones have at ``source``."""
+        rows = np.moveaxis(net, direction, 0)
+        values = TensorBasis((self.bases[direction],)).evaluate(source[:, None]) @ rows.reshape(len(rows), -1)
+        rows_new = splu(TensorBasis((new,)).evaluate(at[:, None]).tocsc()).solve(values)
+        return np.moveaxis(rows_new.reshape(new.n, *rows.shape[1:]), 0, direction)
+
+    def refined(self, *parts: int) -> "Patch":
+        """The same geometry with every Bezier element cut in equal parts.
+
+        Args:
+            parts: number of parts, one for all directions or one per direction; 1 leaves a direction alone.
+
+        Returns:
+            The patch; the continuity at the new knots is p - 1.
+
+        Raises:
+            ValueError: not as many numbers as directions, or a number below 1.
+        """
+        cuts = [checks.whole("parts", k, 1) for k in (parts * self.dim if len(parts) == 1 else parts)]
+        if len(cuts) != self.dim:
+            raise ValueError(f"parts = {parts}: one number, or one for each of the {self.dim} directions is required")
+        return self.on([_refined(basis, k) for basis, k in zip(self.bases, cuts, strict=True)])
+
+    def with_degree(self, *degrees: int) -> "Patch":
+        """The same geometry with elevated degrees and unchanged continuity.
+
+        Args:
+            degrees: degree, one for all directions or one per direction, none below the present one.
+
+        Returns:
+            The patch.
+
+        Raises:
+            ValueError: not as many degrees as directions, or one below the present one.
+        """
+        wanted = degrees * self.dim if len(degrees) == 1 else degrees
+        if len(wanted) != self.dim:
+            raise ValueError(f"degrees = {degrees}: one, or one for each of the {self.dim} directions is required")
+        return self.on([_elevated(basis, p) for basis, p in zip(self.bases, wanted, strict=True)])
+
+    def reversed(self, direction: int) -> "Patch":
+        """The same geometry with one parameter running backwards; named sides stay where they are.
+
+        Args:
+            direction: which one.
+
+        Returns:
+            The patch.
+
+        Raises:
+            ValueError: no such direction.
+        """
+        checks.choice("direction", direction, tuple(range(self.dim)))
+        basis = self.bases[direction]
+        low, high = basis.knots[0], basis.knots[-1]
+        backwards = replace(basis, knots=low + high - basis.knots[::-1])
+        here = backwards.greville
+        control = self._interpolated(self._net, direction, backwards, here, low + high - here)
+        names = {name: (d, 1 - end if d == direction else end) for name, (d, end) in self.side_names.items()}
+        bases = [*self.bases[:direction], backwards, *self.bases[direction + 1 :]]
+        return replace(self, bases=tuple(bases), control=self._columns(control), side_names=names)
+
+    def swapped(self, first: int = 0, second: int = 1) -> "Patch":
+        """The same geometry with two parameters exchanged; named sides stay where they are.
+
+        Args:
+            first: one direction.
+            second: the other direction.
+
+        Returns:
+            The patch.
+
+        Raises:
+            ValueError: no such direction.
+        """
+        for name, direction in (("first", first), ("second", second)):
+            checks.choice(name, direction, tuple(range(self.dim)))
+        place = list(range(self.dim))
+        place[first], place[second] = second, first
+        names = {name: (place[d], end) for name, (d, end) in self.side_names.items()}
+        order = np.transpose(self._grid, place).ravel(order="F")
+        return replace(self, bases=tuple(self.bases[d] for d in place), control=self.control[order], side_names=names)
+
+
+def _require_containing(name: str, old: BSplineBasis, new: BSplineBasis) -> None:
+    """Refuse a basis that does not contain another one."""
+    drop = new.degree - old.degree
+    same_range = np.array_equal(old.knots[[0, -1]], new.knots[[0, -1]]) and old.periodic == new.periodic
+    at = np.searchsorted(new.breakpoints, old.breakpoints)
+    found = at < len(new.breakpoints)
+    found[found] = new.breakpoints[at[found]] == old.breakpoints[found]
+    if not (same_range and drop >= 0 and found.all() and (new.multiplicities[at] >= old.multiplicities + drop).all()):
+        raise ValueError(
+            f"{name} has degree {new.degree} on {new.knots}: degree {old.degree} on {old.knots} is not in it"
+        )
+
+
+def _refined(basis: BSplineBasis, parts: int) -> BSplineBasis:
+    x = basis.breakpoints
+    inner = x[:-1, None] + np.diff(x)[:, None] * (np.arange(1, parts) / parts)
+    return replace(basis, knots=np.sort(np.concatenate([basis.knots, inner.ravel()])))
+
+
+def _elevated(basis: BSplineBasis, degree: int) -> BSplineBasis:
+    p = checks.whole("degrees", degree, basis.degree)
+    return BSplineBasis(p, np.repeat(basis.breakpoints, basis.multiplicities + p - basis.degree), basis.periodic)

@@ -1,0 +1,135 @@
+"""The functions of one or several patches in one numbering, over one parametric plane.
+
+A single patch keeps its own parameters. Of several, patch k is scaled to the unit box and moved to [2 k, 2 k + 1] in
+the first direction, so that every point of the plane belongs to at most one patch (Kamensky and Bazilevs,
+doi:10.1016/j.cma.2018.10.002).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from tigar_x import checks
+from tigar_x.bspline import TensorBasis
+from tigar_x.compat import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class SplineFunctions:
+    """Spline functions of one or several patches.
+
+    Attributes:
+        bases: tensor-product bases, one per patch, of one parametric dimension.
+        numbering: function of every raw function (those of all patches one after the other); raw functions of one
+            number are glued together. None: no two are.
+
+    Raises:
+        ValueError: no basis, bases of several dimensions, or a numbering that is not one.
+    """
+
+    bases: tuple[TensorBasis, ...]
+    numbering: IntArray | None = None
+
+    def __post_init__(self) -> None:
+        if not self.bases:
+            raise ValueError("bases is empty: one patch or more is required")
+        dims = {basis.dim for basis in self.bases}
+        if len(dims) != 1:
+            raise ValueError(f"bases have parametric dimensions {sorted(dims)}: one and the same is required")
+        if self.numbering is None:
+            return
+        raw, used = int(self.offsets[-1]), np.unique(self.numbering)
+        if self.numbering.shape != (raw,) or not np.array_equal(used, np.arange(len(used))):
+            raise ValueError(f"numbering has shape {self.numbering.shape}: {raw} numbers from 0 without gaps required")
+
+    @property
+    def dim(self) -> int:
+        """Parametric dimension."""
+        return self.bases[0].dim
+
+    @cached_property
+    def offsets(self) -> IntArray:
+        """First raw function of every patch, and their number, shape (patches + 1,)."""
+        return np.cumsum([0, *(basis.n for basis in self.bases)]).astype(np.int32)
+
+    @cached_property
+    def n(self) -> int:
+        """Number of functions."""
+        return int(self.offsets[-1] if self.numbering is None else self.numbering.max() + 1)
+
+    @property
+    def degrees(self) -> tuple[int, ...]:
+        """Largest polynomial degree in every direction."""
+        return tuple(int(p) for p in np.max([basis.degrees for basis in self.bases], axis=0))
+
+    def global_numbers(self, patch: int, functions: IntArray) -> IntArray:
+        """Numbers of functions of a patch.
+
+        Args:
+            patch: which patch.
+            functions: numbers within the patch.
+
+        Returns:
+            Numbers of the functions, in the same order.
+        """
+        raw = self.offsets[patch] + functions
+        return np.asarray(raw if self.numbering is None else self.numbering[raw], dtype=np.int32)
+
+    def to_plane(self, patch: int, xi: FloatArray) -> FloatArray:
+        """Points of the parametric plane from parameters of a patch, shape (m, dimension)."""
+        if len(self.bases) == 1:
+            return xi
+        low, high = self.bases[patch].box
+        return (xi - low) / (high - low) + 2.0 * patch * np.eye(self.dim)[0]
+
+    def from_plane(self, patch: int, points: FloatArray) -> FloatArray:
+        """Parameters of a patch from points of the parametric plane, shape (m, dimension)."""
+        if len(self.bases) == 1:
+            return points
+        low, high = self.bases[patch].box
+        return low + (points - 2.0 * patch * np.eye(self.dim)[0]) * (high - low)
+
+    @cached_property
+    def boxes(self) -> FloatArray:
+        """Lower and upper corner of every patch in the parametric plane, shape (patches, 2, dimension)."""
+        return np.stack([self.to_plane(k, basis.box) for k, basis in enumerate(self.bases)])
+
+    def breakpoints(self, patch: int) -> list[FloatArray]:
+        """Ends of the Bezier elements of a patch in the parametric plane, one array per direction."""
+        ticks = [basis.breakpoints for basis in self.bases[patch].directions]
+        if len(self.bases) == 1:
+            return ticks
+        return [(t - t[0]) / (t[-1] - t[0]) + (2.0 * patch if i == 0 else 0.0) for i, t in enumerate(ticks)]
+
+    def patch_of(self, points: FloatArray) -> IntArray:
+        """Patch of points of the parametric plane, shape (m,)."""
+        if len(self.bases) == 1:
+            return np.zeros(len(points), dtype=np.int32)
+        return np.floor(points[:, 0] / 2.0 + 0.25).astype(np.int32)
+
+    def evaluate(self, points: ArrayLike) -> sp.csr_matrix:
+        """Values of all functions at points of the parametric plane.
+
+        Args:
+            points: shape (m, dimension), each within a patch.
+
+        Returns:
+            Sparse matrix of shape (m, n); rows sum to one.
+        """
+        x = checks.array("points", points, (None, self.dim))
+        owner = self.patch_of(x)
+        order = np.argsort(owner, kind="stable")
+        blocks = [basis.evaluate(self.from_plane(k, x[owner == k])) for k, basis in enumerate(self.bases)]
+        raw = sp.block_diag(blocks, format="csr") if len(blocks) > 1 else blocks[0]
+        if len(blocks) > 1:
+            back = np.empty_like(order)
+            back[order] = np.arange(len(order))
+            raw = raw[back]
+        if self.numbering is None:
+            return raw
+        merged = sp.csr_matrix((raw.data, self.numbering[raw.indices], raw.indptr), shape=(len(x), self.n))
+        merged.sum_duplicates()
+        return merged
