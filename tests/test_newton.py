@@ -9,6 +9,7 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat, shapes
+from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import SolveError
 from tigar_x.solve import FiniteElementSystem, SplineSystem, newton
 from tigar_x.spline import ExtractedSpline
@@ -88,6 +89,134 @@ def test_a_residual_that_is_not_finite_is_refused():
     overflowing, _ = nonlinear_poisson(start=1e155)
     with pytest.raises(SolveError, match="iteration 0: the residual is not finite"):
         newton(overflowing)
+
+
+def test_what_is_out_of_range_is_said():
+    system, _ = nonlinear_poisson()
+    for options in ({"rtol": -1e-5}, {"atol": np.nan}, {"reference": -1.0}, {"max_iterations": 2.5}):
+        name, value = next(iter(options.items()))
+        with pytest.raises(ValueError, match=f"{name} = {value}: a"):
+            newton(system, **options)
+    for options in ({"reduction": 1.5}, {"reduction": np.nan}, {"evaluations": 0}):
+        name, value = next(iter(options.items()))
+        with pytest.raises(ValueError, match=f"{name} = {value}: a"):
+            LineSearch(**options)
+
+
+# -- line search ------------------------------------------------------------------------------------------------------
+
+
+class Pointwise:
+    """f(u) = 0 in every point, from a constant start: the iterates are those of one equation. Counts residuals."""
+
+    def __init__(self, f, start, *, slope=1.0):
+        domain = mesh.create_unit_interval(MPI.COMM_WORLD, 4)
+        V = compat.lagrange_space(domain, 1)
+        self.u, v = fem.Function(V), ufl.TestFunction(V)
+        form = f(self.u) * v * ufl.dx
+        self.system = FiniteElementSystem(form, self.u, tangent=slope * ufl.derivative(form, self.u))
+        self.u.x.array[:] = start
+        self.assembled = 0
+        for name in ("assemble_tangent", "solve", "subtract"):
+            setattr(self, name, getattr(self.system, name))
+
+    @property
+    def b(self):
+        return self.system.b
+
+    def assemble_residual(self):
+        self.assembled += 1
+        return self.system.assemble_residual()
+
+
+def growing(u):
+    """Odd, with f = u + 10 u^3: the gradient of a convex energy."""
+    return u + 10 * u**3
+
+
+@pytest.mark.mpi
+def test_a_line_search_does_nothing_where_full_steps_serve():
+    plain, searched = (Pointwise(growing, 1.0) for _ in range(2))
+    without, report = newton(plain, rtol=1e-11), newton(searched, rtol=1e-11, line_search=LineSearch())
+    np.testing.assert_allclose(report.norms, without.norms, rtol=1e-6, atol=1e-14)
+    assert report.step_lengths == without.step_lengths == (1.0,) * len(report.linear_iterations)
+    assert searched.assembled == plain.assembled == len(report.norms)
+
+
+@pytest.mark.mpi
+def test_a_line_search_converges_where_full_steps_diverge():
+    """Newton's method for atan(u) = 0 diverges from |u| > 1.3917452."""
+    for start, converges in ((1.39, True), (1.40, False)):
+        if converges:
+            newton(Pointwise(ufl.atan, start), rtol=1e-9)
+        else:
+            with pytest.raises(SolveError):
+                newton(Pointwise(ufl.atan, start), rtol=1e-9)
+        for times in (1, -10):
+            problem = Pointwise(ufl.atan, times * start)
+            report = newton(problem, rtol=1e-9, line_search=LineSearch())
+            np.testing.assert_allclose(problem.u.x.array, 0.0, atol=1e-8)
+            assert report.step_lengths[-1] == 1.0
+            assert len(report.step_lengths) == len(report.linear_iterations) == len(report.norms) - 1
+            assert (min(report.step_lengths) < 1.0) is (problem.assembled > len(report.norms))
+    assert min(report.step_lengths) < 0.2
+
+
+@pytest.mark.mpi
+def test_a_step_that_leaves_the_numbers_is_halved():
+    """From 5, the full step for log(u) = 0 ends at 5 (1 - log 5) < 0, half of it at 0.98."""
+    problem = Pointwise(ufl.ln, 5.0)
+    report = newton(problem, rtol=1e-10, line_search=LineSearch())
+    assert report.step_lengths[:2] == (0.5, 1.0)
+    np.testing.assert_allclose(problem.u.x.array, 1.0, atol=1e-9)
+    with pytest.raises(SolveError, match="iteration 1: the residual is not finite"):
+        newton(Pointwise(ufl.ln, 5.0), rtol=1e-10)
+    overflowing = Pointwise(lambda u: ufl.exp(u) - 1, -8.0)
+    report = newton(overflowing, rtol=1e-10, line_search=LineSearch())
+    np.testing.assert_allclose(overflowing.u.x.array, 0.0, atol=1e-9)
+    assert report.step_lengths[0] < 1e-2
+
+
+class Quadratic:
+    """R = D x, the gradient of an energy, with a line search along any increment."""
+
+    def __init__(self, stiffness, x):
+        self.D, self.x = np.array(stiffness), np.array(x)
+        self.b = PETSc.Vec().createSeq(len(x), comm=PETSc.COMM_SELF)
+        self.assembled = -1
+        self.norm = self.assemble_residual()
+
+    def assemble_residual(self):
+        self.assembled += 1
+        self.b.array_w[:] = self.D * self.x
+        return self.b.norm()
+
+    def subtract(self, increment):
+        self.x -= increment.array_r
+
+
+@pytest.mark.parametrize(("excess", "evaluations"), [(1, 1), (2, 2), (8, 3)])
+def test_steps_go_to_the_minimum_of_the_energy(excess, evaluations):
+    """There the residual may be larger. The secant's root is exact once it lies in the inner part of the interval."""
+    problem = Quadratic([1.0, 100.0], [1.0, 5e-4])
+    increment = problem.b.copy()
+    optimum = increment.dot(increment) / increment.array_r.dot(problem.D * increment.array_r)
+    increment.scale(excess * optimum)
+    s, norm = search(problem, increment, problem.norm, LineSearch(reduction=1e-12))
+    assert s == pytest.approx(1 / excess, rel=1e-12)
+    assert problem.assembled == evaluations
+    assert norm == pytest.approx(problem.b.norm())
+    assert norm > 3 * problem.norm
+
+
+@pytest.mark.mpi
+def test_a_failed_line_search_says_so_and_takes_its_steps_back():
+    """Along the wrong direction no step helps."""
+    problem = Pointwise(growing, 0.4, slope=-1.0)
+    with pytest.raises(SolveError, match=r"no step length from 1 to 7\.8e-03 reduces the residual"):
+        newton(problem, line_search=LineSearch(evaluations=8))
+    assert problem.assembled == 1 + 8
+    np.testing.assert_allclose(problem.u.x.array, 0.4, rtol=1e-14)
 
 
 # -- additions from outside, and splines ------------------------------------------------------------------------------
