@@ -308,7 +308,7 @@ class TimeIntegrator:
 
 
 class LoadStepper:
-    """Pseudo-time of a static problem.
+    """Pseudo-time of a static problem; :func:`tigar_x.load_stepping.follow_load` chooses its steps.
 
     Args:
         x: the unknown.
@@ -316,6 +316,7 @@ class LoadStepper:
         t: initial pseudo-time.
 
     Attributes:
+        x: the unknown.
         t: Constant, pseudo-time of the step in progress.
 
     Raises:
@@ -325,8 +326,25 @@ class LoadStepper:
     def __init__(self, x: fem.Function, dt: float, *, t: float = 0.0) -> None:
         self.x = x
         self._dt = checks.positive("dt", dt)
-        self.t = fem.Constant(x.function_space.mesh, checks.finite("t", t) + self._dt)
+        self._t_n = checks.finite("t", t)
+        self.t = fem.Constant(x.function_space.mesh, self._t_n + self._dt)
+
+    @property
+    def time(self) -> float:
+        """Pseudo-time of the last accepted state."""
+        return self._t_n
+
+    @property
+    def step_size(self) -> float:
+        """Size of the step in progress; assign to change it."""
+        return self._dt
+
+    @step_size.setter
+    def step_size(self, value: float) -> None:
+        self._dt = checks.positive("dt", value)
+        self.t.value = self._t_n + self._dt
 
     def advance(self) -> None:
-        """Go on to the next load step."""
-        self.t.value += self._dt
+        """Accept x as the state at t and go on to the next load step."""
+        self._t_n = float(self.t.value)
+        self.t.value = self._t_n + self._dt
