@@ -233,7 +233,7 @@ class ShellSubproblem:
         y: fem.Function = timeInt_sh.x
         jacobian = ufl.derivative(residual_sh, y) if tangent is None else tangent
         self.system = SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y)
-        cells = subcells(spline_sh.extraction)
+        _, cells = subcells(spline_sh.V)
         self._edges = np.stack([cells, np.roll(cells, 1, axis=1)], axis=-1).reshape(-1, 2)
         self._projector = spline_sh.lumped_projector
         normal = midsurface(spline_sh, spline_sh.rationalize(timeInt_sh.x_alpha)).normal

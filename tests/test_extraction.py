@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from dolfinx import fem
-from petsc4py import PETSc
 from splines import PATCHES, RATIONAL, WORLD, coefficients, integral, spline
 
 from tigar_x import compat
 from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.extraction import extract
 from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
 
@@ -32,18 +30,18 @@ def wiggly(*degrees):
 @pytest.mark.parametrize("degrees", [(1,), (2,), (3,), (4,), (1, 1), (2, 1), (2, 3), (1, 4)])
 def test_finite_elements_reproduce_every_function(degrees):
     patch = wiggly(*degrees)
-    extraction = extract(patch, WORLD)
-    M = extraction.M
+    s = ExtractedSpline(patch)
+    M = s.scalar.nodes
     np.testing.assert_allclose(M.sum(axis=1), 1.0, rtol=0, atol=1e-13)
     assert np.diff(M.indptr).max() <= np.prod([p + 1 for p in degrees])
 
-    vertices = compat.cell_vertices(extraction.mesh)[: compat.owned_cells(extraction.mesh)]
+    vertices = compat.cell_vertices(s.mesh)[: compat.owned_cells(s.mesh)]
     low, high = vertices.min(axis=1), vertices.max(axis=1)
-    s = np.random.default_rng(1).uniform(0.01, 0.99, (5, *low.shape))
-    xi = (low + s * (high - low)).reshape(-1, patch.dim)
-    cells = np.tile(np.arange(len(low), dtype=np.int32), len(s))
+    theta = np.random.default_rng(1).uniform(0.01, 0.99, (5, *low.shape))
+    xi = (low + theta * (high - low)).reshape(-1, patch.dim)
+    cells = np.tile(np.arange(len(low), dtype=np.int32), len(theta))
     N = patch.basis.evaluate(xi)
-    u = fem.Function(extraction.space)
+    u = fem.Function(s.scalar.V)
     for column in coefficients(patch, 3).T:
         u.x.array[:] = M @ column
         found = u.eval(np.pad(xi, ((0, 0), (0, 3 - patch.dim))), cells).reshape(-1)
@@ -52,23 +50,16 @@ def test_finite_elements_reproduce_every_function(degrees):
 
 
 @pytest.mark.parametrize("size", [1, 2, 4])
-@pytest.mark.parametrize("layout", ["PETSc", "rank 0 has all"])
-def test_vector_matrix_treats_components_alike(size, layout):
-    extraction = extract(wiggly(2, 3), WORLD)
-    n = extraction.M.shape[1]
-    columns = None
-    if layout != "PETSc":
-        columns = PETSc.Vec().createMPI((size * n if WORLD.rank == 0 else 0, size * n), comm=WORLD)
-    M = extraction.vector_matrix(size, columns)
+def test_components_are_treated_alike(size):
+    space = ExtractedSpline(wiggly(2, 3)).space(size)
+    n = space.nodes.shape[1]
     U = np.random.default_rng(2).uniform(size=(n, size))
-    x, y = M.createVecs()
+    x, y = space.M.createVecs()
     x.array_w[:] = U.ravel()[slice(*x.getOwnershipRange())]
-    M.mult(x, y)
-    owned = extraction.space.dofmap.index_map.size_local
-    np.testing.assert_allclose(y.array_r.reshape(-1, size), (extraction.M @ U)[:owned], rtol=0, atol=1e-14)
-    assert M.size[1] == size * n
-    if columns is not None:
-        assert x.getOwnershipRange() == columns.getOwnershipRange()
+    space.M.mult(x, y)
+    owned = space.V.dofmap.index_map.size_local
+    np.testing.assert_allclose(y.array_r.reshape(-1, size), (space.nodes @ U)[:owned], rtol=0, atol=1e-14)
+    assert space.M.size[1] == size * n
 
 
 # -- geometry ---------------------------------------------------------------------------------------------------------
@@ -98,7 +89,7 @@ def test_lengths_and_areas(name, measure, moment):
 @pytest.mark.parametrize("name", PATCHES)
 def test_position_at_nodes(name):
     s = spline(name)
-    nodes = s.V_scalar.tabulate_dof_coordinates()[:, : s.patch.dim]
+    nodes = s.scalar.V.tabulate_dof_coordinates()[:, : s.patch.dim]
     np.testing.assert_allclose(s.node_positions, s.patch.evaluate(nodes), rtol=0, atol=1e-14)
     position = fem.Function(s.V)
     compat.interpolate(position, s.F)

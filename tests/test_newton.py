@@ -269,7 +269,7 @@ class TestSplineSystem:
 
     def test_nodal_loads_and_stiffness(self):
         spline, system = self.make()
-        M = sp.kron(spline.extraction.M, sp.identity(2)).toarray()
+        M = sp.kron(spline.vector.nodes, sp.identity(2)).toarray()
         free = np.setdiff1d(np.arange(M.shape[1]), spline.zero_dofs)
         nodal = np.random.default_rng(3).uniform(0.5, 1.0, (len(spline.node_areas), 2))
         system.assemble_residual()

@@ -71,7 +71,7 @@ class Scene:
         return compat.compile_forms(ufl.derivative(self._R, self.y))[0]
 
     def _set(self, U):
-        self.y.x.array[:] = (self.spline.extraction.M @ U).ravel()
+        self.y.x.array[:] = (self.spline.vector.nodes @ U).ravel()
 
     def energy(self, U):
         self._set(U)

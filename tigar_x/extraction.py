@@ -1,4 +1,4 @@
-"""From a patch to finite elements: parametric mesh, Lagrange space and the extraction matrix M.
+"""From a geometry to finite elements: parametric mesh, Lagrange spaces and the extraction matrix M.
 
 A spline restricted to one Bezier element is a polynomial that the Lagrange space contains, so evaluating it at the
 nodes writes it exactly in the nodal basis: ``M[A, j] = N_j(xi_A)`` (Schillinger et al., doi:10.1002/nme.5216). The
@@ -6,128 +6,139 @@ nodes' coordinates are asked from dolfinx, which absorbs its reordering and any 
 knows about the order of degrees of freedom.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from petsc4py import PETSc
+from scipy.spatial import Delaunay
 
 from tigar_x import compat
-from tigar_x.patch import Patch
+from tigar_x.compat import FloatArray, IntArray
+from tigar_x.functions import ParametricCells
 
 
-@dataclass(frozen=True)
-class Extraction:
-    """Where the spline lives in the finite element world.
+class Evaluable(Protocol):
+    """Functions that can be evaluated at the nodes of a parametric mesh."""
 
-    Attributes:
-        mesh: parametric mesh of the Bezier elements (intervals or quadrilaterals).
-        space: scalar Lagrange space of the patch's largest degree.
-        M: scalar extraction matrix over this rank's nodes (owned, then ghosts), shape (nodes, functions).
-    """
+    @property
+    def n(self) -> int:
+        """Number of functions."""
 
-    mesh: mesh.Mesh
-    space: fem.FunctionSpace
-    M: sp.csr_matrix
+    @property
+    def degrees(self) -> tuple[int, ...]:
+        """Largest polynomial degree in every direction."""
 
-    def vector_matrix(self, size: int, columns: PETSc.Vec | None = None) -> PETSc.Mat:
-        """Extraction of a vector field that uses the same functions for every component, ``M x I``.
-
-        Args:
-            size: number of components.
-            columns: vector whose layout the columns take; None: PETSc splits the functions over the ranks.
-
-        Returns:
-            Matrix from spline coefficients (function * size + component) to nodal values (node * size + component).
-        """
-        owned = self.space.dofmap.index_map.size_local
-        comm = self.mesh.comm
-        n = self.M.shape[1]
-        local = columns.getLocalSize() if columns is not None else size * (n // comm.size + (comm.rank < n % comm.size))
-        block = sp.kron(self.M[:owned], sp.identity(size), format="csr")
-        block.sort_indices()
-        M = PETSc.Mat().createAIJ(
-            ((size * owned, PETSc.DETERMINE), (local, size * n)),
-            bsize=1,
-            csr=(block.indptr.astype(PETSc.IntType), block.indices.astype(PETSc.IntType), block.data),
-            comm=comm,
-        )
-        M.assemble()
-        return M
+    def evaluate(self, points: FloatArray) -> sp.csr_matrix:
+        """Values at points of the parametric plane, shape (points, n)."""
 
 
-def parametric_mesh(patch: Patch, comm: MPI.Comm) -> mesh.Mesh:
-    """Mesh of the patch's parametric domain, one cell per Bezier element.
+def parametric_mesh(cells: ParametricCells, comm: MPI.Comm) -> mesh.Mesh:
+    """Distributed mesh of parametric cells.
 
     Args:
-        patch: curve or surface.
+        cells: the same on every rank.
         comm: communicator.
 
     Returns:
-        Intervals or quadrilaterals with the breakpoints as vertices.
+        The mesh.
     """
-    ticks = [basis.breakpoints for basis in patch.bases]
-    grid = np.meshgrid(*ticks, indexing="ij")
-    x = np.column_stack([g.ravel(order="F") for g in grid])
-    number = np.arange(len(x)).reshape(grid[0].shape, order="F")
-    if patch.dim == 1:
-        cell, corners = "interval", [number[:-1], number[1:]]
-    else:
-        cell = "quadrilateral"
-        corners = [number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]]
-    cells = np.column_stack([c.ravel(order="F") for c in corners])
-    if comm.rank:
-        cells, x = cells[:0], x[:0]
-    return compat.create_mesh(comm, cell, cells, x)
+    here = slice(0, 0) if comm.rank else slice(None)
+    return compat.create_mesh(comm, cells.cell, cells.cells[here], cells.x[here])
 
 
-def extract(patch: Patch, comm: MPI.Comm) -> Extraction:
-    """Mesh, space and extraction matrix of a patch.
+def tagged_boundary(domain: mesh.Mesh, parts: Sequence[tuple[int, Callable[[FloatArray], Any]]]) -> Any:
+    """Tags of the exterior facets of a mesh.
 
     Args:
-        patch: curve or surface.
-        comm: communicator; ``MPI.COMM_SELF`` gives every rank the whole spline.
+        domain: mesh.
+        parts: for every tag the predicate of its facets' vertices, which takes coordinates of shape (3, n); no facet
+            belongs to two parts.
 
     Returns:
-        The extraction.
+        dolfinx mesh tags.
     """
-    domain = parametric_mesh(patch, comm)
-    space = compat.lagrange_space(domain, max(basis.degree for basis in patch.bases))
-    nodes = space.tabulate_dof_coordinates()[:, : patch.dim]
-    return Extraction(domain, space, patch.basis.evaluate(nodes))
+    dim = domain.topology.dim - 1
+    found = [mesh.locate_entities_boundary(domain, dim, where) for _, where in parts]
+    facets = np.concatenate(found).astype(np.int32)
+    tags = np.repeat(np.array([tag for tag, _ in parts], dtype=np.int32), [len(part) for part in found])
+    order = np.argsort(facets)
+    return mesh.meshtags(domain, dim, facets[order], tags[order])
 
 
-def subcells(extraction: Extraction) -> compat.IntArray:
-    """Linear cells between neighbouring nodes, ``degree`` of them per direction in every Bezier element.
+def lagrange_degree(degrees: Sequence[int], simplices: bool) -> int:
+    """Degree of the Lagrange space that contains a tensor-product spline on one element.
 
     Args:
-        extraction: where the spline lives.
+        degrees: polynomial degrees, one per direction.
+        simplices: whether the cells are simplices (or else tensor cells).
 
     Returns:
-        Node numbers around each subcell (2 ends of a segment, 4 corners of a quadrilateral in cyclic order), shape
-        (subcells, 2 or 4).
+        Their sum on simplices, else the largest.
     """
-    reference = compat.node_points(extraction.space)
+    return sum(degrees) if simplices else max(degrees)
+
+
+def node_matrix(functions: Evaluable, space: fem.FunctionSpace) -> sp.csr_matrix:
+    """Values of functions at the nodes of a scalar space on this rank (owned, then ghosts), shape (nodes, n)."""
+    dim = space.mesh.geometry.dim
+    return functions.evaluate(space.tabulate_dof_coordinates()[:, :dim])
+
+
+def petsc_matrix(rows: sp.spmatrix, comm: MPI.Comm) -> PETSc.Mat:
+    """Distributed matrix from every rank's rows.
+
+    Args:
+        rows: this rank's rows, with global columns.
+        comm: communicator.
+
+    Returns:
+        The matrix; its columns are split evenly over the ranks.
+    """
+    local = rows.tocsr()
+    local.sort_indices()
+    m, n = local.shape
+    width = n // comm.size + (comm.rank < n % comm.size)
+    csr = (local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data)
+    M = PETSc.Mat().createAIJ(((m, PETSc.DETERMINE), (width, n)), bsize=1, csr=csr, comm=comm)
+    M.assemble()
+    return M
+
+
+def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
+    """Linear cells between neighbouring nodes, ``degree`` of them per direction in every element.
+
+    Args:
+        space: Lagrange space.
+
+    Returns:
+        meshio's name of the cells ("line", "quad", "hexahedron", "triangle" or "tetra"), and node numbers around each
+        of those that this rank owns, quadrilaterals and hexahedra in cyclic order, shape (subcells, corners).
+    """
+    reference = compat.node_points(space)
     dim = reference.shape[1]
-    n = round(len(reference) ** (1.0 / dim))
-    grid = np.lexsort(np.round(reference, 9).T).reshape((n,) * dim)
-    if dim == 1:
-        local = np.stack([grid[:-1], grid[1:]], axis=-1)
+    if compat.cell_name(space.mesh) in ("triangle", "tetrahedron"):
+        kind, local = ("triangle", "tetra")[dim - 2], Delaunay(reference).simplices
     else:
-        local = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=-1)
-    owned = compat.owned_cells(extraction.mesh)
-    dofs = compat.cell_dofs(extraction.space)[:owned]
-    return dofs[:, local.reshape(-1, 2**dim)].reshape(-1, 2**dim)
+        n = round(len(reference) ** (1.0 / dim))
+        grid = np.lexsort(np.round(reference, 9).T).reshape((n,) * dim)  # the last coordinate varies slowest
+        low, high = slice(None, -1), slice(1, None)
+        square: list[Any] = [(low, low), (low, high), (high, high), (high, low)]
+        corners = [[(low,), (high,)], square, [(end, *corner) for end in (low, high) for corner in square]]
+        kind = ("line", "quad", "hexahedron")[dim - 1]
+        local = np.stack([grid[corner] for corner in corners[dim - 1]], axis=-1).reshape(-1, 2**dim)
+    dofs = compat.cell_dofs(space)[: compat.owned_cells(space.mesh)]
+    return kind, dofs[:, local].reshape(-1, local.shape[1])
 
 
 def set_nodal(function: fem.Function, values: Any) -> None:
     """Write nodal values (owned and ghosts) into a function.
 
     Args:
-        function: in a blocked Lagrange space of ``size`` components.
+        function: in a scalar or blocked Lagrange space of ``size`` components.
         values: shape (nodes, size).
     """
     function.x.array[:] = np.asarray(values, dtype=np.float64).ravel()

@@ -7,6 +7,8 @@ doi:10.1016/j.cma.2018.10.002).
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import permutations
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,6 +17,27 @@ from numpy.typing import ArrayLike
 from tigar_x import checks
 from tigar_x.bspline import TensorBasis
 from tigar_x.compat import FloatArray, IntArray
+
+Cells = Literal["tensor", "simplex"]
+CELL_NAMES = {
+    "tensor": ("interval", "quadrilateral", "hexahedron"),
+    "simplex": ("interval", "triangle", "tetrahedron"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricCells:
+    """The cells of a parametric mesh as arrays.
+
+    Attributes:
+        cell: UFL name of the cell.
+        cells: vertices of the cells in dolfinx's ordering, shape (cells, vertices per cell).
+        x: coordinates of the vertices, shape (vertices, parametric dimension).
+    """
+
+    cell: str
+    cells: IntArray
+    x: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +64,11 @@ class SplineFunctions:
             raise ValueError(f"bases have parametric dimensions {sorted(dims)}: one and the same is required")
         if self.numbering is None:
             return
-        raw, used = int(self.offsets[-1]), np.unique(self.numbering)
-        if self.numbering.shape != (raw,) or not np.array_equal(used, np.arange(len(used))):
-            raise ValueError(f"numbering has shape {self.numbering.shape}: {raw} numbers from 0 without gaps required")
+        raw, numbering = int(self.offsets[-1]), np.asarray(self.numbering)
+        used = np.unique(numbering)
+        object.__setattr__(self, "numbering", numbering)
+        if numbering.shape != (raw,) or not np.array_equal(used, np.arange(len(used))):
+            raise ValueError(f"numbering has shape {numbering.shape}: {raw} numbers from 0 without gaps required")
 
     @property
     def dim(self) -> int:
@@ -104,11 +129,59 @@ class SplineFunctions:
             return ticks
         return [(t - t[0]) / (t[-1] - t[0]) + (2.0 * patch if i == 0 else 0.0) for i, t in enumerate(ticks)]
 
+    def require_elements(self, name: str, other: Any) -> None:
+        """Refuse functions that are not polynomials on every Bezier element of these.
+
+        Args:
+            name: what the message calls them.
+            other: other functions.
+
+        Raises:
+            ValueError: they have other patches, or a breakpoint that these do not have.
+        """
+        if len(other.bases) != len(self.bases) or other.dim != self.dim:
+            found = f"{len(other.bases)} patches of dimension {other.dim}"
+            raise ValueError(f"{name} has {found}: {len(self.bases)} of dimension {self.dim} are required")
+        for k in range(len(self.bases)):
+            for direction, (mine, others) in enumerate(zip(self.breakpoints(k), other.breakpoints(k), strict=True)):
+                slack = 1e-12 * (mine[-1] - mine[0])
+                gaps = np.abs(others[:, None] - mine[None, :]).min(axis=1)
+                if (gaps > slack).any() or np.abs(others[[0, -1]] - mine[[0, -1]]).max() > slack:
+                    found = f"patch {k} has breakpoints {others} in direction {direction}"
+                    raise ValueError(f"{name}: {found}: only those of the geometry, {mine}, are allowed")
+
+    def cells(self, kind: Cells) -> ParametricCells:
+        """Bezier elements of the patches; patches share no vertices, their connection is a matter of extraction.
+
+        Args:
+            kind: "tensor" for intervals, quadrilaterals and hexahedra; "simplex" for the same cut in 2 triangles or 6
+                tetrahedra along the diagonal from the least to the largest corner.
+
+        Returns:
+            The cells.
+        """
+        checks.choice("cells", kind, tuple(CELL_NAMES))
+        ends = (slice(None, -1), slice(1, None))
+        corners = [tuple(ends[(c >> d) & 1] for d in range(self.dim)) for c in range(2**self.dim)]
+        boxes, points, first = [], [], 0
+        for patch in range(len(self.bases)):
+            grid = np.meshgrid(*self.breakpoints(patch), indexing="ij")
+            points.append(np.column_stack([g.ravel(order="F") for g in grid]))
+            number = first + np.arange(grid[0].size).reshape(grid[0].shape, order="F")
+            boxes.append(np.column_stack([number[corner].ravel(order="F") for corner in corners]))
+            first += grid[0].size
+        cells = np.concatenate(boxes)
+        if kind == "simplex" and self.dim > 1:
+            paths = [np.cumsum([0, *(2**axis for axis in order)]) for order in permutations(range(self.dim))]
+            cells = np.concatenate([cells[:, path] for path in paths])
+        return ParametricCells(CELL_NAMES[kind][self.dim - 1], cells.astype(np.int32), np.concatenate(points))
+
     def patch_of(self, points: FloatArray) -> IntArray:
-        """Patch of points of the parametric plane, shape (m,)."""
+        """Patch nearest to each point of the parametric plane, shape (m,)."""
         if len(self.bases) == 1:
             return np.zeros(len(points), dtype=np.int32)
-        return np.floor(points[:, 0] / 2.0 + 0.25).astype(np.int32)
+        nearest = np.floor(points[:, 0] / 2.0 + 0.25)
+        return np.clip(nearest, 0, len(self.bases) - 1).astype(np.int32)
 
     def evaluate(self, points: ArrayLike) -> sp.csr_matrix:
         """Values of all functions at points of the parametric plane.

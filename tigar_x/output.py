@@ -102,7 +102,7 @@ class VTUSeries(_Series):
         self._spline = spline
         self._y = y
         self._fields = fields
-        self._cells = subcells(spline.extraction)
+        self._kind, self._cells = subcells(spline.V)
         self._entries: list[str] = []
         self._writes = MPI.COMM_WORLD.rank == 0
         if self._writes:
@@ -130,9 +130,8 @@ class VTUSeries(_Series):
             points = points + displacement
             data["displacement"] = self._padded(displacement)
         data.update({name: self._values(field) for name, field in self._fields.items()})
-        kind = "line" if self._cells.shape[1] == 2 else "quad"
         file = self._path.with_name(f"{self._path.name}_{len(self._entries):06d}.vtu")
-        meshio.Mesh(self._padded(points), [(kind, self._cells)], point_data=data).write(file)
+        meshio.Mesh(self._padded(points), [(self._kind, self._cells)], point_data=data).write(file)
         self._entries.append(f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{file.name}"/>\n')
         index = (
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'

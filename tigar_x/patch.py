@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.linalg import splu
 
 from tigar_x import checks
 from tigar_x.bspline import BSplineBasis, TensorBasis
@@ -71,6 +70,32 @@ class ControlNet:
         """Whether the weights differ from one."""
         return bool((self.weights != 1.0).any())
 
+    def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
+        """Sides by name.
+
+        Args:
+            names: see :meth:`Patch.locate_side`; none: all there are.
+            patch: which patch; None: every patch.
+
+        Returns:
+            Patch, direction and end of every side.
+
+        Raises:
+            ValueError: there is no such side or patch.
+        """
+        raise NotImplementedError
+
+    def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
+        """Functions next to a side, sorted.
+
+        Args:
+            patch: which patch.
+            direction: direction normal to the side.
+            end: its start (0) or end (1).
+            layers: rows of functions.
+        """
+        raise NotImplementedError
+
     def where(self, predicate: Callable[[FloatArray], NDArray[np.bool_]]) -> IntArray:
         """Functions whose control points lie in a region.
 
@@ -131,9 +156,14 @@ class Patch(ControlNet):
     def __post_init__(self) -> None:
         if len(self.bases) not in (1, 2, 3):
             raise ValueError(f"bases has {len(self.bases)} directions: 1, 2 or 3 are supported")
+        object.__setattr__(self, "bases", tuple(self.bases))
         object.__setattr__(self, "control", self._check_control())
-        for name, (direction, end) in self.side_names.items():
-            checks.choice(f"side_names[{name!r}]", (direction, end), tuple(SIDES.values())[: 2 * self.dim])
+        allowed = tuple(SIDES[name] for name in self.open_sides)
+        for name, place in self.side_names.items():
+            if name in SIDES:
+                raise ValueError(f"side_names contains {name!r}: a name other than {', '.join(SIDES)} is required")
+            checks.choice(f"side_names[{name!r}]", place, allowed)
+        object.__setattr__(self, "side_names", dict(self.side_names))
 
     @classmethod
     def from_points(
@@ -160,41 +190,48 @@ class Patch(ControlNet):
 
     @classmethod
     def from_splipy(cls, shape: Any, side_names: Mapping[str, tuple[int, int]] | None = None) -> "Patch":
-        """Patch from a splipy Curve, Surface or Volume (open in every direction).
+        """Patch from a splipy Curve, Surface or Volume.
 
         Args:
             shape: the splipy object.
             side_names: further names of sides.
 
         Returns:
-            The patch.
+            The patch, periodic where the object is.
 
         Raises:
-            ValueError: the object is periodic; splipy's ``split`` opens it.
+            ValueError: a periodic object whose start does not have the continuity that splipy says.
         """
-        if any(shape.periodic(direction) for direction in range(shape.pardim)):
-            raise ValueError(f"shape = {type(shape).__name__} is periodic: split it at its start first")
-        bases = tuple(BSplineBasis(basis.order - 1, basis.knots) for basis in shape.bases)
-        net = np.moveaxis(np.asarray(shape.controlpoints), -1, 0)
-        columns = np.column_stack([values.ravel(order="F") for values in net])
+        bases, net = [], np.asarray(shape.controlpoints)
+        for direction, basis in enumerate(shape.bases):
+            wrapped = basis.periodic + 1
+            knots = basis.knots[wrapped : len(basis.knots) - wrapped]
+            if not np.allclose(knots[[0, -1]], [basis.start(), basis.end()], rtol=0, atol=1e-12 * np.ptp(knots)):
+                repeats = basis.order - 1 - basis.periodic
+                raise ValueError(
+                    f"shape has {basis.knots} in direction {direction}: {repeats} knots at both ends required"
+                )
+            bases.append(BSplineBasis(basis.order - 1, knots, wrapped > 0))
+            net = np.roll(net, -wrapped, axis=direction)
+        columns = net.reshape(-1, net.shape[-1], order="F")
         if not shape.rational:
             columns = np.column_stack([columns, np.ones(len(columns))])
-        return cls(bases, columns, side_names or {})
+        return cls(tuple(bases), columns, side_names or {})
 
     def to_splipy(self) -> Any:
-        """The patch as splipy Curve, Surface or Volume, with weights where it has any.
-
-        Raises:
-            ValueError: the patch is periodic.
-        """
+        """The patch as splipy Curve, Surface or Volume, with weights where it has any."""
         from splipy import BSplineBasis as Knots
         from splipy import Curve, Surface, Volume
 
-        if any(basis.periodic for basis in self.bases):
-            raise ValueError("bases are periodic: only open patches go to splipy")
-        knots = [Knots(basis.degree + 1, basis.knots) for basis in self.bases]
-        net = self.control if self.rational else self.control[:, :-1]
-        return (Curve, Surface, Volume)[self.dim - 1](*knots, net, self.rational)
+        knots, net = [], self.control.reshape([*(basis.n for basis in self.bases), -1], order="F")
+        for direction, basis in enumerate(self.bases):
+            extended, first = basis.extended
+            knots.append(Knots(basis.degree + 1, extended, -1 - first))
+            net = np.roll(net, -first, axis=direction)
+        columns = net.reshape(self.n, -1, order="F")
+        if not self.rational:
+            columns = columns[:, :-1]
+        return (Curve, Surface, Volume)[self.dim - 1](*knots, columns, self.rational)
 
     @cached_property
     def basis(self) -> TensorBasis:
@@ -232,9 +269,26 @@ class Patch(ControlNet):
         Raises:
             ValueError: there is no such side; the message lists those there are.
         """
-        known = dict(list(SIDES.items())[: 2 * self.dim]) | dict(self.side_names)
-        known = {key: place for key, place in known.items() if not self.bases[place[0]].periodic}
+        known = {key: SIDES[key] for key in self.open_sides} | dict(self.side_names)
         return known[checks.choice("name", name, tuple(known))]
+
+    def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
+        """Sides by name, see :meth:`ControlNet.locate_sides`."""
+        checks.choice("patch", patch, (None, 0))
+        return [(0, *self.locate_side(name)) for name in names or self.open_sides]
+
+    @property
+    def open_sides(self) -> tuple[str, ...]:
+        """Plain names of all sides: two in every direction that is not periodic."""
+        return tuple(name for name, (d, _) in SIDES.items() if d < self.dim and not self.bases[d].periodic)
+
+    def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
+        """Functions next to a side, see :meth:`ControlNet.side_functions`."""
+        n = self.bases[direction].n
+        if checks.whole("layers", layers, 1) > n:
+            raise ValueError(f"layers = {layers}: direction {direction} has only {n} functions")
+        rows = np.arange(layers) if end == 0 else np.arange(n - layers, n)
+        return np.sort(np.take(self._grid, rows, axis=direction).ravel()).astype(np.int32)
 
     def side(self, name: str, layers: int = 1) -> IntArray:
         """Functions next to a side.
@@ -249,12 +303,7 @@ class Patch(ControlNet):
         Raises:
             ValueError: there is no such side or not that many layers.
         """
-        direction, end = self.locate_side(name)
-        n = self.bases[direction].n
-        if checks.whole("layers", layers, 1) > n:
-            raise ValueError(f"layers = {layers}: direction {direction} has only {n} functions")
-        rows = np.arange(layers) if end == 0 else np.arange(n - layers, n)
-        return np.sort(np.take(self._grid, rows, axis=direction).ravel()).astype(np.int32)
+        return self.side_functions(0, *self.locate_side(name), layers)
 
     def side_dofs(self, name: str, layers: int = 1, components: Sequence[int] | None = None) -> IntArray:
         """Degrees of freedom of a vector field next to a side.
@@ -281,8 +330,8 @@ class Patch(ControlNet):
     def on(self, bases: Sequence[BSplineBasis]) -> "Patch":
         """The same geometry on richer bases: knots inserted, degrees elevated, or both.
 
-        The control points follow from interpolation at the Greville abscissae, one direction after the other, which is
-        exact because the richer space contains the geometry.
+        The control points follow from interpolation at the Greville points, which is exact because the richer space
+        contains the geometry.
 
         Args:
             bases: univariate bases over the same ranges, each containing the present one.
@@ -295,31 +344,13 @@ class Patch(ControlNet):
         """
         if len(bases) != self.dim:
             raise ValueError(f"bases has {len(bases)} directions: {self.dim} are required")
-        net = self._net
         for direction, (old, new) in enumerate(zip(self.bases, bases, strict=True)):
             _require_containing(f"bases[{direction}]", old, new)
-            net = self._interpolated(net, direction, new, new.greville, new.greville)
-        return replace(self, bases=tuple(bases), control=self._columns(net))
-
-    @property
-    def _net(self) -> FloatArray:
-        """Control points as an array with one axis per direction and the columns last."""
-        return self.control.reshape([*(basis.n for basis in self.bases), -1], order="F")
-
-    def _columns(self, net: FloatArray) -> FloatArray:
-        control = net.reshape(-1, net.shape[-1], order="F")
+        richer = TensorBasis(tuple(bases))
+        control = richer.interpolate(self.basis.evaluate(richer.greville) @ self.control)
         if not self.rational:
             control[:, -1] = 1.0
-        return control
-
-    def _interpolated(
-        self, net: FloatArray, direction: int, new: BSplineBasis, at: FloatArray, source: FloatArray
-    ) -> FloatArray:
-        """Net whose functions in one direction have at ``at`` the values that the present ones have at ``source``."""
-        rows = np.moveaxis(net, direction, 0)
-        values = TensorBasis((self.bases[direction],)).evaluate(source[:, None]) @ rows.reshape(len(rows), -1)
-        rows_new = splu(TensorBasis((new,)).evaluate(at[:, None]).tocsc()).solve(values)
-        return np.moveaxis(rows_new.reshape(new.n, *rows.shape[1:]), 0, direction)
+        return replace(self, bases=tuple(bases), control=control)
 
     def refined(self, *parts: int) -> "Patch":
         """The same geometry with every Bezier element cut in equal parts.
@@ -336,7 +367,7 @@ class Patch(ControlNet):
         cuts = [checks.whole("parts", k, 1) for k in (parts * self.dim if len(parts) == 1 else parts)]
         if len(cuts) != self.dim:
             raise ValueError(f"parts = {parts}: one number, or one for each of the {self.dim} directions is required")
-        return self.on([_refined(basis, k) for basis, k in zip(self.bases, cuts, strict=True)])
+        return self.on([basis.with_knots(_cuts(basis, k)) for basis, k in zip(self.bases, cuts, strict=True)])
 
     def with_degree(self, *degrees: int) -> "Patch":
         """The same geometry with elevated degrees and unchanged continuity.
@@ -353,7 +384,7 @@ class Patch(ControlNet):
         wanted = degrees * self.dim if len(degrees) == 1 else degrees
         if len(wanted) != self.dim:
             raise ValueError(f"degrees = {degrees}: one, or one for each of the {self.dim} directions is required")
-        return self.on([_elevated(basis, p) for basis, p in zip(self.bases, wanted, strict=True)])
+        return self.on([basis.elevated(p) for basis, p in zip(self.bases, wanted, strict=True)])
 
     def reversed(self, direction: int) -> "Patch":
         """The same geometry with one parameter running backwards; named sides stay where they are.
@@ -369,13 +400,16 @@ class Patch(ControlNet):
         """
         checks.choice("direction", direction, tuple(range(self.dim)))
         basis = self.bases[direction]
-        low, high = basis.knots[0], basis.knots[-1]
-        backwards = replace(basis, knots=low + high - basis.knots[::-1])
-        here = backwards.greville
-        control = self._interpolated(self._net, direction, backwards, here, low + high - here)
+        m, low, high = basis.multiplicities[0], basis.knots[0], basis.knots[-1]
+        knots = low + high - basis.knots[::-1]
+        knots[:m], knots[-m:] = low, high
+        # a function on knots i to i + p + 1 becomes the one on the mirrored knots
+        last = len(basis.knots) - 2 - basis.degree
+        order = np.take(self._grid, (last - np.arange(basis.n)) % basis.n, axis=direction).ravel(order="F")
         names = {name: (d, 1 - end if d == direction else end) for name, (d, end) in self.side_names.items()}
-        bases = [*self.bases[:direction], backwards, *self.bases[direction + 1 :]]
-        return replace(self, bases=tuple(bases), control=self._columns(control), side_names=names)
+        bases = list(self.bases)
+        bases[direction] = replace(basis, knots=knots)
+        return replace(self, bases=tuple(bases), control=self.control[order], side_names=names)
 
     def swapped(self, first: int = 0, second: int = 1) -> "Patch":
         """The same geometry with two parameters exchanged; named sides stay where they are.
@@ -401,23 +435,16 @@ class Patch(ControlNet):
 
 def _require_containing(name: str, old: BSplineBasis, new: BSplineBasis) -> None:
     """Refuse a basis that does not contain another one."""
-    drop = new.degree - old.degree
-    same_range = np.array_equal(old.knots[[0, -1]], new.knots[[0, -1]]) and old.periodic == new.periodic
-    at = np.searchsorted(new.breakpoints, old.breakpoints)
-    found = at < len(new.breakpoints)
-    found[found] = new.breakpoints[at[found]] == old.breakpoints[found]
-    if not (same_range and drop >= 0 and found.all() and (new.multiplicities[at] >= old.multiplicities + drop).all()):
+    drop, at = new.degree - old.degree, new.find(old.breakpoints)
+    same_range = at[0] == 0 and at[-1] == len(new.breakpoints) - 1 and old.periodic == new.periodic
+    repeats = (at >= 0) & (new.multiplicities[at] >= old.multiplicities + drop)
+    if not (same_range and drop >= 0 and repeats.all()):
         raise ValueError(
             f"{name} has degree {new.degree} on {new.knots}: degree {old.degree} on {old.knots} is not in it"
         )
 
 
-def _refined(basis: BSplineBasis, parts: int) -> BSplineBasis:
+def _cuts(basis: BSplineBasis, parts: int) -> FloatArray:
+    """Parameters that cut every Bezier element in equal parts."""
     x = basis.breakpoints
-    inner = x[:-1, None] + np.diff(x)[:, None] * (np.arange(1, parts) / parts)
-    return replace(basis, knots=np.sort(np.concatenate([basis.knots, inner.ravel()])))
-
-
-def _elevated(basis: BSplineBasis, degree: int) -> BSplineBasis:
-    p = checks.whole("degrees", degree, basis.degree)
-    return BSplineBasis(p, np.repeat(basis.breakpoints, basis.multiplicities + p - basis.degree), basis.periodic)
+    return (x[:-1, None] + np.diff(x)[:, None] * (np.arange(1, parts) / parts)).ravel()

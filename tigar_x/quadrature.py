@@ -14,7 +14,8 @@ class NodalQuadrature:
 
     Attributes:
         points: reference positions X_A, shape (nodes, nsd); unit: length.
-        weights: reference areas W_A = int phi_A, summing to the whole area, shape (nodes,); unit: length or area.
+        weights: reference areas W_A = int phi_A, summing to the whole area, zero at the nodes of a pole, shape
+            (nodes,); unit: length or area.
         rational: weights w_A of the spline at the nodes, shape (nodes,); a physical value is u^h_A / w_A, and a point
             force f enters row A of the homogeneous residual as f / w_A.
     """
@@ -34,12 +35,14 @@ class NodalQuadrature:
             The quadrature.
 
         Raises:
-            ValueError: the spline is distributed, or a weight is not positive.
+            ValueError: the spline is distributed, or a weight is negative, as on triangles.
         """
         if spline.mesh.comm.size > 1:
             raise ValueError(f"spline lives on {spline.mesh.comm.size} ranks: nodal quadrature needs MPI.COMM_SELF")
         weights = spline.node_areas
-        if not (weights > 0.0).all():
-            i = int(np.argmax(~(weights > 0.0)))
-            raise ValueError(f"weights[{i}] = {weights[i]}: positive nodal weights are required")
+        rounding = 1e-13 * np.abs(weights).max()
+        if not (weights > -rounding).all():
+            i = int(np.argmin(weights))
+            raise ValueError(f"weights[{i}] = {weights[i]}: nodal weights >= 0 are required, which tensor cells give")
+        weights = np.where(weights > rounding, weights, 0.0)
         return cls(spline.node_positions, weights, spline.node_weights)

@@ -6,21 +6,19 @@ Increments are subtracted throughout: ``K dx = R``, ``x <- x - dx``.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 import ufl
 from dolfinx import fem
 from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
-
-if TYPE_CHECKING:
-    from tigar_x.spline import ExtractedSpline
 
 
 class System(Protocol):
@@ -41,6 +39,26 @@ class System(Protocol):
 
     def subtract(self, increment: PETSc.Vec) -> None:
         """Move the state by minus the increment."""
+
+
+class Extracted(Protocol):
+    """What a reduced system needs to know of a spline: an ``ExtractedSpline`` for its ``V``, or a ``SplineSpace``."""
+
+    @property
+    def V(self) -> fem.FunctionSpace:
+        """Lagrange space."""
+
+    @property
+    def M(self) -> PETSc.Mat:
+        """Extraction matrix."""
+
+    @property
+    def rows(self) -> sp.csr_matrix:
+        """This rank's rows of ``M``."""
+
+    @property
+    def zero_dofs(self) -> IntArray:
+        """Columns of ``M`` whose increments vanish."""
 
 
 class FiniteElementSystem:
@@ -141,12 +159,12 @@ class SplineSystem:
     """A residual on a spline, extracted: ``M^T A M``, ``M^T b``, with zero rows and columns at the zero dofs.
 
     Args:
-        spline: the extracted spline.
-        residual: UFL residual in ``spline.V``.
+        space: the extracted spline, for its ``V``, or another space on it.
+        residual: UFL residual in ``space.V``.
         tangent: UFL tangent; the unknown is what the caller differentiated by.
         solver: linear solver recipe; None: direct.
         unknown: what :meth:`subtract` moves; None: the caller adds increments itself.
-        zero_dofs: spline coefficients whose increments vanish; None: those of the spline.
+        zero_dofs: spline coefficients whose increments vanish; None: those of the space.
 
     Attributes:
         b: extracted residual.
@@ -155,7 +173,7 @@ class SplineSystem:
 
     def __init__(
         self,
-        spline: "ExtractedSpline",
+        space: Extracted,
         residual: ufl.Form,
         tangent: ufl.Form,
         solver: LinearSolver | None = None,
@@ -163,21 +181,22 @@ class SplineSystem:
         unknown: fem.Function | None = None,
         zero_dofs: ArrayLike | None = None,
     ) -> None:
-        self.spline = spline
+        self.space = space
         self.unknown = unknown
         self._residual, self._tangent = compat.compile_forms(residual, tangent)
         self._A_fe = compat.create_matrix(self._tangent, "aij")
-        self._b_fe = compat.create_vector(spline.V)
+        self._b_fe = compat.create_vector(space.V)
         self._diagonal = self._b_fe.duplicate()
         self._dx_fe = self._b_fe.duplicate()
-        self.b = spline.M.createVecRight()
+        self.b = space.M.createVecRight()
         self._dx = self.b.duplicate()
         self._product = self.b.duplicate()  # work space: making vectors again and again would leak in petsc4py
         first, last = self.b.getOwnershipRange()
-        fixed = np.asarray(spline.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
+        fixed = np.asarray(space.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
         self._zero = fixed[(fixed >= first) & (fixed < last)]
         self._zero_local = self._zero - first
         self._A: PETSc.Mat | None = None
+        self._own: PETSc.Mat | None = None  # the form's part, whose product is reused
         self._recipe = direct() if solver is None else solver
         self._solver: PreparedSolver | None = None
         self.iterations = 0
@@ -203,7 +222,7 @@ class SplineSystem:
             with self._b_fe.localForm() as local:
                 local.array_w += load.ravel()
         self._b_fe.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        self.spline.M.multTranspose(self._b_fe, self.b)
+        self.space.M.multTranspose(self._b_fe, self.b)
         self.b.array_w[self._zero_local] = 0.0
         return float(self.b.norm())
 
@@ -217,7 +236,7 @@ class SplineSystem:
             This rank's spline values.
         """
         self._diagonal.array_w[:] = nodal.ravel()
-        self.spline.M.multTranspose(self._diagonal, self._product)
+        self.space.M.multTranspose(self._diagonal, self._product)
         self._product.array_w[self._zero_local] = 0.0
         return self._product.array_r.copy()
 
@@ -234,28 +253,52 @@ class SplineSystem:
             return 0.0
         self._dx_fe.array_w[:] = nodal.ravel()[: self._dx_fe.getLocalSize()]
         self._A_fe.mult(self._dx_fe, self._diagonal)
-        self.spline.M.multTranspose(self._diagonal, self._product)
+        self.space.M.multTranspose(self._diagonal, self._product)
         self._product.array_w[self._zero_local] = 0.0
         return float(self._product.norm())
 
-    def assemble_tangent(self, diagonal: FloatArray | None = None) -> None:
-        """Assemble, extract and constrain the tangent; the symbolic product is made once.
+    def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: sp.spmatrix | None = None) -> None:
+        """Assemble, extract and constrain the tangent; the symbolic product of the form's part is made once.
 
         Args:
             diagonal: values to add to the diagonal of the finite element matrix, shape (nodes, nsd).
+            pairs: finite element matrix of forces between any nodes, such as contact, over the dofs (node * nsd +
+                component) of a spline that lives on one rank.
         """
         compat.assemble_matrix(self._A_fe, self._tangent)
         self._A_fe.assemble()
         if diagonal is not None:
             self._diagonal.array_w[:] = diagonal.ravel()
             self._A_fe.setDiagonal(self._diagonal, PETSc.InsertMode.ADD_VALUES)
-        if self._A is None:
-            self._A = self._A_fe.PtAP(self.spline.M)
-            self._A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-            self._solver = PreparedSolver(self._recipe, self._A)
+        if self._own is None:
+            self._own = self._A_fe.PtAP(self.space.M)
+            self._own.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         else:
-            self._A_fe.PtAP(self.spline.M, result=self._A)
-        self._A.zeroRowsColumns(self._zero, diag=1.0)
+            self._A_fe.PtAP(self.space.M, result=self._own)
+        if pairs is not None and pairs.nnz:
+            self._bind(self._with_pairs(self._own, pairs))
+        elif self._A is not self._own:
+            self._bind(self._own)
+        self.A.zeroRowsColumns(self._zero, diag=1.0)
+
+    def _bind(self, A: PETSc.Mat) -> None:
+        """Solve with another matrix; one with pairs has a new pattern every time."""
+        if self._A is not None and self._A is not self._own:
+            self._A.destroy()
+        self._A, self._solver = A, PreparedSolver(self._recipe, A)
+
+    def _with_pairs(self, form_part: PETSc.Mat, pairs: sp.spmatrix) -> PETSc.Mat:
+        """Extracted tangent with the forces between nodes."""
+        rows = self.space.rows
+        if rows.shape[0] != pairs.shape[0]:
+            raise ValueError(f"pairs has shape {pairs.shape}: a spline on one rank with {rows.shape[0]} dofs is needed")
+        indptr, columns, values = form_part.getValuesCSR()
+        total = sp.csr_matrix((values, columns, indptr), shape=form_part.size) + (rows.T @ (pairs @ rows)).tocsr()
+        total.sort_indices()
+        csr = (total.indptr.astype(PETSc.IntType), total.indices.astype(PETSc.IntType), total.data)
+        A = PETSc.Mat().createAIJ(total.shape, csr=csr, comm=form_part.comm)
+        A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        return A
 
     def solve(self) -> PETSc.Vec:
         """Solve for the increment of the spline coefficients.
@@ -272,8 +315,8 @@ class SplineSystem:
         return self._dx
 
     def add(self, u: fem.Function, increment: PETSc.Vec, factor: float = 1.0) -> None:
-        """Add ``factor * M increment`` to a function of ``spline.V``, ghosts included."""
-        self.spline.M.mult(increment, self._dx_fe)
+        """Add ``factor * M increment`` to a function of ``space.V``, ghosts included."""
+        self.space.M.mult(increment, self._dx_fe)
         u.x.array[: self._dx_fe.getLocalSize()] += factor * self._dx_fe.array_r
         u.x.scatter_forward()
 
@@ -297,6 +340,20 @@ class NewtonReport:
     norms: tuple[float, ...]
     linear_iterations: tuple[int, ...]
     step_lengths: tuple[float, ...]
+
+
+def solve_linear(system: SplineSystem) -> None:
+    """Solve a linear problem: one increment from any start.
+
+    Args:
+        system: residual and tangent of a problem that is linear in its unknown.
+
+    Raises:
+        SolveError: the linear solver failed.
+    """
+    system.assemble_residual()
+    system.assemble_tangent()
+    system.subtract(system.solve())
 
 
 def newton(

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 import ufl
 from mpi4py import MPI
 from dolfinx import fem
@@ -17,16 +18,19 @@ from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray, IntArray
-from tigar_x.extraction import extract, set_nodal
-from tigar_x.patch import Patch
+from tigar_x.compat import FloatArray
+from tigar_x.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal, tagged_boundary
+from tigar_x.functions import Cells
+from tigar_x.patch import ControlNet
+from tigar_x.solve import SplineSystem, solve_linear
+from tigar_x.space import SplineSpace
 
 
-class SurfaceMeasure:
+class SplineMeasure:
     """Integration over the physical reference configuration: ``integrand * measure`` gives a form.
 
-    Args:
-        jacobian: physical length or area per parametric one.
+    Attributes:
+        jacobian: physical length, area or volume per parametric one.
         measure: UFL measure of the parametric mesh with its quadrature degree.
     """
 
@@ -35,98 +39,145 @@ class SurfaceMeasure:
         self.measure = measure
 
     def __rmul__(self, integrand: Any) -> ufl.Form:
-        """Form of ``integrand`` over the surface."""
+        """Form of ``integrand``."""
         return integrand * self.jacobian * self.measure
 
 
+class SideMeasure(SplineMeasure):
+    """Integration over sides of the patches in the reference configuration.
+
+    Attributes:
+        normal: outward unit normal of the parametric domain, shape (parametric dimension,).
+    """
+
+    def __init__(self, jacobian: Any, measure: ufl.Measure, normal: Any) -> None:
+        super().__init__(jacobian, measure)
+        self.normal = normal
+
+
 class ExtractedSpline:
-    """A spline patch as a dolfinx function space with an extraction matrix.
+    """A spline geometry as dolfinx function spaces with extraction matrices.
 
     Args:
-        patch: the geometry.
+        geometry: a patch, several in one numbering, or a geometry read from a file.
         comm: communicator; coupled runs put a whole copy on every rank with ``MPI.COMM_SELF``.
+        cells: "tensor" for quadrilaterals and hexahedra, "simplex" for triangles and tetrahedra as Bezier elements.
         quadrature_degree: degree of every integral over the spline; None: twice the largest degree.
-        zero_dofs: spline coefficients (function * nsd + component) whose increments vanish, see
+        zero_dofs: coefficients (function * nsd + component) of ``V`` whose increments vanish, see
             :meth:`tigar_x.patch.Patch.side_dofs`.
+        constraints: further linear constraints in ``V``, see :mod:`tigar_x.constraints`.
 
     Attributes:
         V: vector Lagrange space with nsd components, for homogeneous displacement-like fields.
         M: extraction matrix of ``V`` (PETSc), from spline coefficients to nodal values.
+        rows: this rank's rows of ``M`` (scipy).
+        zero_dofs: columns of ``M`` whose increments vanish.
         F: physical position as UFL expression over the parametric mesh, shape (nsd,); unit: length.
         weight: weight field w, or None for a B-spline.
         dx: measure of the physical reference configuration.
         node_positions: reference positions of this rank's nodes, shape (nodes, nsd); unit: length.
         node_weights: w at the nodes, shape (nodes,).
-        node_areas: integrals of the nodal functions over the reference surface, shape (nodes,).
 
     Raises:
-        ValueError: quadrature degree or zero dofs out of range.
+        ValueError: quadrature degree or zero dofs out of range, or an element without length, area or volume.
     """
 
     def __init__(
         self,
-        patch: Patch,
+        geometry: ControlNet,
         comm: MPI.Comm = MPI.COMM_WORLD,
         *,
+        cells: Cells = "tensor",
         quadrature_degree: int | None = None,
         zero_dofs: ArrayLike | Sequence[int] = (),
+        constraints: Sequence[sp.spmatrix] = (),
     ) -> None:
-        self.patch = patch
-        self.nsd = patch.nsd
-        degree = max(basis.degree for basis in patch.bases)
-        chosen = 2 * degree if quadrature_degree is None else quadrature_degree
+        self.geometry = self.patch = geometry
+        self.dim, self.nsd = geometry.dim, geometry.nsd
+        chosen = 2 * max(geometry.functions.degrees) if quadrature_degree is None else quadrature_degree
         self.quadrature_degree = checks.whole("quadrature_degree", chosen, 0)
-        self.zero_dofs: IntArray = np.unique(np.asarray(zero_dofs, dtype=np.int32))
-        n = patch.basis.n * self.nsd
-        if len(self.zero_dofs) and not 0 <= self.zero_dofs[0] <= self.zero_dofs[-1] < n:
-            raise ValueError(f"zero_dofs ranges over [{self.zero_dofs[0]}, {self.zero_dofs[-1]}]: 0 to {n - 1} allowed")
+        self.mesh = parametric_mesh(geometry.functions.cells(cells), comm)
+        self._spaces: dict[int, SplineSpace] = {}
+        self.vector = self.space(self.nsd, zero_dofs=zero_dofs, constraints=constraints)
+        self.V, self.M, self.rows = self.vector.V, self.vector.M, self.vector.rows
+        self.zero_dofs = self.vector.zero_dofs
 
-        self.extraction = extract(patch, comm)
-        self.mesh = self.extraction.mesh
-        self.V_scalar = self.extraction.space
-        self.V = compat.lagrange_space(self.mesh, degree, self.nsd)
-        self.M = self.extraction.vector_matrix(self.nsd)
-
-        homogeneous = self.extraction.M @ patch.control
-        if patch.rational:
-            control = fem.Function(compat.lagrange_space(self.mesh, degree, self.nsd + 1), name="control")
-            set_nodal(control, homogeneous)
-            self.weight = control[self.nsd]
-            self.F = ufl.as_vector([control[i] / control[self.nsd] for i in range(self.nsd)])
-        else:
-            control = fem.Function(self.V, name="control")
-            set_nodal(control, homogeneous[:, :-1])
-            self.weight = None
-            self.F = ufl.as_vector([control[i] for i in range(self.nsd)])
-        self.DF = ufl.grad(self.F)
-        self.metric = self.DF.T * self.DF
-        jacobian = ufl.sqrt(ufl.det(self.metric) if patch.dim > 1 else self.metric[0, 0])
-        self._measure = ufl.dx(domain=self.mesh, metadata={"quadrature_degree": self.quadrature_degree})
-        self.dx = SurfaceMeasure(jacobian, self._measure)
-
+        homogeneous = self.vector.nodes @ geometry.control
         self.node_weights: FloatArray = homogeneous[:, -1]
         self.node_positions: FloatArray = homogeneous[:, :-1] / homogeneous[:, -1:]
-        self.node_areas = self._measure_nodes()
+        size = self.nsd + 1 if geometry.rational else self.nsd
+        degree = lagrange_degree(geometry.functions.degrees, cells == "simplex" and self.dim > 1)
+        control = fem.Function(compat.lagrange_space(self.mesh, degree, size), name="control")
+        set_nodal(control, homogeneous[:, :size])
+        parts = [control[i] for i in range(size)] if size > 1 else [control]
+        self.weight = parts[-1] if geometry.rational else None
+        self.F = ufl.as_vector([self.rationalize(part) for part in parts[: self.nsd]])
+        self.DF = ufl.grad(self.F)
+        self.metric = self.DF.T * self.DF
+        jacobian = ufl.sqrt(ufl.det(self.metric) if self.dim > 1 else self.metric[0, 0])
+        metadata = {"quadrature_degree": self.quadrature_degree}
+        self.dx = SplineMeasure(jacobian, ufl.dx(domain=self.mesh, metadata=metadata))
+        self._refuse_flat_elements()
 
-    def _measure_nodes(self) -> FloatArray:
-        """Integrals of the nodal functions over the reference surface; an element without area is refused."""
+    def _refuse_flat_elements(self) -> None:
         cells = compat.lagrange_space(self.mesh, 0)
-        node_form, cell_form = compat.compile_forms(
-            ufl.TestFunction(self.V_scalar) * self.dx, ufl.TestFunction(cells) * self.dx
-        )
-        areas, cell_areas = compat.create_vector(self.V_scalar), compat.create_vector(cells)
-        compat.assemble_vector(cell_areas, cell_form)
-        worst = np.nan_to_num(cell_areas.array_r, nan=0.0).min(initial=np.inf)
-        rounding = 1e-14 * np.abs(self.patch.points).max() ** self.patch.dim
+        form = compat.compile_forms(ufl.TestFunction(cells) * self.dx)[0]
+        sizes = compat.create_vector(cells)
+        compat.assemble_vector(sizes, form)
+        worst = np.nan_to_num(sizes.array_r, nan=0.0).min(initial=np.inf)
+        rounding = 1e-14 * np.abs(self.geometry.points).max() ** self.dim
         if not self.mesh.comm.allreduce(worst, op=MPI.MIN) > rounding:
-            raise ValueError("patch has an element of zero length or area: distinct control points are required")
-        compat.assemble_vector(areas, node_form)
+            raise ValueError("geometry has an element of zero length or area: distinct control points are required")
+
+    @cached_property
+    def node_areas(self) -> FloatArray:
+        """Integrals of the nodal functions over the reference configuration, shape (nodes,)."""
+        V = self.scalar.V
+        areas = compat.create_vector(V)
+        compat.assemble_vector(areas, compat.compile_forms(ufl.TestFunction(V) * self.dx)[0])
         areas.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         areas.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
         with areas.localForm() as local:
             return local.array.copy()
 
     # -- fields -------------------------------------------------------------------------------------------------------
+
+    def space(
+        self,
+        *parts: int | tuple[Evaluable, int],
+        zero_dofs: ArrayLike | Sequence[int] = (),
+        constraints: Sequence[sp.spmatrix] = (),
+    ) -> SplineSpace:
+        """Space of fields over this spline.
+
+        Args:
+            parts: for every field the number of its components, or functions of another degree or continuity on the
+                same Bezier elements and the number of components.
+            zero_dofs: coefficients whose increments vanish.
+            constraints: linear constraints between coefficients.
+
+        Returns:
+            The space.
+
+        Raises:
+            ValueError: functions of a part are not polynomials on every Bezier element.
+        """
+        pairs = [(self.geometry.functions, part) if isinstance(part, int) else part for part in parts]
+        for i, (functions, _) in enumerate(pairs):
+            if functions is not self.geometry.functions:
+                self.geometry.functions.require_elements(f"parts[{i}]", functions)
+        return SplineSpace(self.mesh, *pairs, zero_dofs=zero_dofs, constraints=constraints)
+
+    def free(self, size: int) -> SplineSpace:
+        """Isoparametric space of a number of components without any condition, made once."""
+        if size not in self._spaces:
+            self._spaces[size] = self.space(size)
+        return self._spaces[size]
+
+    @property
+    def scalar(self) -> SplineSpace:
+        """Isoparametric scalar space without any condition."""
+        return self.free(1)
 
     def rationalize(self, u: Any) -> Any:
         """Physical field u^h / w of a homogeneous one (the field itself on a B-spline)."""
@@ -142,15 +193,28 @@ class ExtractedSpline:
         Returns:
             The homogeneous field with nodal values M U.
         """
-        u = fem.Function(self.V, name=name)
-        if coefficients is not None:
-            U = checks.array("coefficients", coefficients, (self.patch.basis.n, self.nsd))
-            set_nodal(u, self.extraction.M @ U)
-        return u
+        return self.vector.function(coefficients, name)
 
     def nodal(self, u: fem.Function) -> FloatArray:
-        """Physical values of a homogeneous field in ``V`` at the nodes, shape (nodes, nsd)."""
-        return u.x.array.reshape(-1, self.nsd) / self.node_weights[:, None]
+        """Physical values of a homogeneous isoparametric field at the nodes, shape (nodes, components)."""
+        return u.x.array.reshape(len(self.node_weights), -1) / self.node_weights[:, None]
+
+    def evaluate(self, u: fem.Function, xi: ArrayLike, patch: int = 0) -> FloatArray:
+        """Physical values of a homogeneous isoparametric field at parameters of a patch (collective).
+
+        Args:
+            u: field of any number of components, in the spline space.
+            xi: the same on every rank, shape (m, parametric dimension).
+            patch: which patch.
+
+        Returns:
+            Values, shape (m, components), on every rank.
+        """
+        functions = self.geometry.functions
+        x = checks.array("xi", xi, (None, self.dim))
+        N = functions.evaluate(functions.to_plane(patch, x))
+        size = u.function_space.dofmap.index_map_bs
+        return np.asarray((N @ self.free(size).coefficients(u)) / (N @ self.geometry.weights)[:, None])
 
     # -- calculus -----------------------------------------------------------------------------------------------------
 
@@ -159,10 +223,15 @@ class ExtractedSpline:
         return ufl.grad(f)
 
     @cached_property
+    def inverse_metric(self) -> Any:
+        """Contravariant metric, shape (parametric dimension, parametric dimension)."""
+        return ufl.inv(self.metric) if self.dim > 1 else ufl.as_matrix([[1 / self.metric[0, 0]]])
+
+    @cached_property
     def _pseudo_inverse(self) -> Any:
-        if self.patch.dim == 1:
+        if self.dim == 1:
             return self.DF.T / self.metric[0, 0]
-        return ufl.inv(self.metric) * self.DF.T
+        return self.inverse_metric * self.DF.T
 
     def grad(self, f: Any) -> Any:
         """Cartesian (surface) gradient ``f,xi (DF^T DF)^-1 DF^T``; appends an axis of length nsd."""
@@ -174,69 +243,155 @@ class ExtractedSpline:
         i = ufl.indices(len(gradient.ufl_shape) - 1)
         return ufl.as_tensor(gradient[(*i, i[-1])], i[:-1]) if len(i) > 1 else gradient[i[0], i[0]]
 
+    # -- sides --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _ds(self) -> ufl.Measure:
+        """Exterior facets of the parametric mesh, numbered by patch, direction and end from 1."""
+        boxes = self.geometry.functions.boxes
+        parts = []
+        for k, box in enumerate(boxes):
+            slack = 1e-9 * (box[1] - box[0])
+            for direction in range(self.dim):
+                for end in (0, 1):
+                    tag = 1 + 2 * (self.dim * k + direction) + end
+                    parts.append((tag, _on_side(box, slack, direction, box[end, direction])))
+        tags = tagged_boundary(self.mesh, parts)
+        metadata = {"quadrature_degree": self.quadrature_degree}
+        return ufl.ds(domain=self.mesh, subdomain_data=tags, metadata=metadata)
+
+    def ds(self, *sides: str, patch: int | None = None) -> SideMeasure:
+        """Measure of sides in the physical reference configuration: of points (1), edges or faces.
+
+        Args:
+            sides: names, such as "u0"; none: all sides of all patches.
+            patch: whose sides; None: those of that name of all patches.
+
+        Returns:
+            The measure.
+
+        Raises:
+            ValueError: there is no such side or patch.
+        """
+        places = self.geometry.locate_sides(sides, patch)
+        tags = tuple(1 + 2 * (self.dim * k + direction) + end for k, direction, end in places)
+        N = ufl.FacetNormal(self.mesh)
+        stretch = ufl.sqrt(ufl.det(self.metric) * ufl.dot(N, self.inverse_metric * N)) if self.dim > 1 else 1.0
+        return SideMeasure(stretch, self._ds(tags), N)
+
+    @property
+    def side_normal(self) -> Any:
+        """Outward unit normal of the sides within the tangent space of the reference configuration, shape (nsd,)."""
+        N = ufl.FacetNormal(self.mesh)
+        return self.DF * self.inverse_metric * N / ufl.sqrt(ufl.dot(N, self.inverse_metric * N))
+
     # -- projection ---------------------------------------------------------------------------------------------------
 
     def project(self, f: Any, *, constrained: bool = False) -> fem.Function:
-        """L2 projection of a physical vector field onto the spline space (consistent mass matrix).
+        """L2 projection of a physical field onto the spline space (consistent mass matrix).
 
         Args:
-            f: UFL expression over the parametric mesh, shape (nsd,).
-            constrained: whether the zero dofs stay zero.
+            f: UFL expression over the parametric mesh, scalar or a vector.
+            constrained: for a vector of nsd components, whether zero dofs and constraints of ``V`` hold.
 
         Returns:
             Homogeneous field u^h with ``int (u^h/w) . (v^h/w) = int f . (v^h/w)`` for all v^h.
-        """
-        from tigar_x.linear import direct
-        from tigar_x.solve import SplineSystem
 
-        u, v = ufl.TrialFunction(self.V), ufl.TestFunction(self.V)
-        mass = ufl.inner(self.rationalize(u), self.rationalize(v)) * self.dx
-        load = ufl.inner(f, self.rationalize(v)) * self.dx
-        result = fem.Function(self.V)
-        system = SplineSystem(self, load, mass, direct(), zero_dofs=self.zero_dofs if constrained else ())
-        system.assemble_residual()
-        system.assemble_tangent()
-        system.add(result, system.solve())
+        Raises:
+            ValueError: constrained is asked of a field of another size.
+        """
+        size = _size(f)
+        if constrained and size != self.nsd:
+            raise ValueError(f"constrained = True: f has {size} components, conditions are known for {self.nsd}")
+        return self._fit(self.vector if constrained else self.free(size), f, self.dx)
+
+    def project_boundary(self, f: Any, *sides: str, patch: int | None = None) -> fem.Function:
+        """Field whose trace on sides is the L2 projection of data there, with all inner coefficients zero.
+
+        The start of a problem with non-zero Dirichlet data: the sides' coefficients are zero dofs of the increments.
+
+        Args:
+            f: UFL expression over the parametric mesh, scalar or a vector.
+            sides: names; none: all sides.
+            patch: whose sides; None: those of all patches.
+
+        Returns:
+            Homogeneous field.
+        """
+        size = _size(f)
+        ds = self.ds(*sides, patch=patch)
+        places = self.geometry.locate_sides(sides, patch)
+        on_sides = np.concatenate([self.geometry.side_functions(*place) for place in places])
+        inner = np.setdiff1d(np.arange(self.geometry.n), on_sides)
+        space = self.space(size, zero_dofs=(inner[:, None] * size + np.arange(size)).ravel())
+        return self._fit(space, f, ds)
+
+    def _fit(self, space: SplineSpace, f: Any, measure: SplineMeasure) -> fem.Function:
+        u, v = ufl.TrialFunction(space.V), ufl.TestFunction(space.V)
+        mass = ufl.inner(self.rationalize(u), self.rationalize(v)) * measure
+        result = fem.Function(space.V)
+        load = -(ufl.inner(f, self.rationalize(v)) * measure)
+        solve_linear(SplineSystem(space, load, mass, unknown=result))
         return result
 
     @cached_property
     def lumped_projector(self) -> "LumpedProjector":
-        """The cheap projection with a diagonal mass matrix."""
-        return LumpedProjector(self)
+        """The cheap projection of vector fields with a diagonal mass matrix."""
+        return LumpedProjector(self, self.nsd)
+
+
+def _size(f: Any) -> int:
+    shape = ufl.as_ufl(f).ufl_shape
+    if len(shape) > 1:
+        raise ValueError(f"f has shape {shape}: a scalar or a vector is required")
+    return int(shape[0]) if shape else 1
+
+
+def _on_side(box: FloatArray, slack: FloatArray, direction: int, value: float) -> Any:
+    """Predicate of points of the parametric plane that lie on one side of a box."""
+
+    def on_side(x: FloatArray) -> Any:
+        dim = len(slack)
+        inside = (x[:dim] >= (box[0] - slack)[:, None]) & (x[:dim] <= (box[1] + slack)[:, None])
+        return inside.all(axis=0) & (np.abs(x[direction] - value) <= slack[direction])
+
+    return on_side
 
 
 class LumpedProjector:
-    """Lumped projection of physical vector fields onto the spline space.
+    """Lumped projection of physical fields onto the spline space.
 
     ``U_j = w_j [M^T int f phi/w]_j / [M^T int phi/w]_j``; the factor w_j makes constants exact on rational splines.
 
     Args:
         spline: the spline.
+        size: number of components of the fields; 1: scalars.
     """
 
-    def __init__(self, spline: ExtractedSpline) -> None:
+    def __init__(self, spline: ExtractedSpline, size: int) -> None:
         self.spline = spline
-        self._b = compat.create_vector(spline.V)
-        self._load = spline.M.createVecRight()
-        self._result = fem.Function(spline.V)
-        self._integrate(self.compile(ufl.as_vector([1.0] * spline.nsd)))
+        self.space = spline.free(size)
+        self._b = compat.create_vector(self.space.V)
+        self._load = self.space.M.createVecRight()
+        self._result = fem.Function(self.space.V)
+        self._integrate(self.compile(ufl.as_vector([1.0] * size) if size > 1 else ufl.as_ufl(1.0)))
         self._scale = self._load.duplicate()
         first, last = self._scale.getOwnershipRange()
-        self._scale.array_w[:] = spline.patch.weights[np.arange(first, last) // spline.nsd] / self._load.array_r
+        self._scale.array_w[:] = spline.geometry.weights[np.arange(first, last) // size] / self._load.array_r
 
     def compile(self, f: Any) -> Any:
         """Compiled form of a field, to be given to :meth:`__call__` as often as its coefficients change.
 
         Args:
-            f: UFL expression, shape (nsd,).
+            f: UFL expression, scalar or of shape (size,).
         """
-        v = ufl.TestFunction(self.spline.V)
+        v = ufl.TestFunction(self.space.V)
         return compat.compile_forms(ufl.inner(f, self.spline.rationalize(v)) * self.spline.dx)[0]
 
     def _integrate(self, form: Any) -> None:
         compat.assemble_vector(self._b, form)
         self._b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        self.spline.M.multTranspose(self._b, self._load)
+        self.space.M.multTranspose(self._b, self._load)
 
     def __call__(self, form: Any) -> FloatArray:
         """Nodal values of the projection of a field.
@@ -245,10 +400,10 @@ class LumpedProjector:
             form: from :meth:`compile`.
 
         Returns:
-            Physical values at this rank's nodes, shape (nodes, nsd).
+            Physical values at this rank's nodes, shape (nodes, size).
         """
         self._integrate(form)
         self._load.pointwiseMult(self._load, self._scale)
-        self.spline.M.mult(self._load, compat.petsc_vector(self._result))
+        self.space.M.mult(self._load, compat.petsc_vector(self._result))
         self._result.x.scatter_forward()
         return self.spline.nodal(self._result)
