@@ -1,12 +1,13 @@
 """Knot vectors, univariate B-spline bases and their tensor products, evaluated by ``scipy.interpolate.BSpline``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
+from scipy.sparse.linalg import splu
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
@@ -88,7 +89,7 @@ class BSplineBasis:
     def __post_init__(self) -> None:
         p = checks.whole("degree", self.degree, 1)
         knots = checks.array("knots", self.knots, (None,)).copy()
-        if len(knots) < 2 or not self.periodic and len(knots) < 2 * (p + 1):
+        if len(knots) < 2 or (not self.periodic and len(knots) < 2 * (p + 1)):
             raise ValueError(f"knots has {len(knots)} entries: degree {p} requires at least {2 * (p + 1)}")
         steps = np.diff(knots)
         if (steps < 0).any():
@@ -130,8 +131,8 @@ class BSplineBasis:
         return self._group(self.knots)[1]
 
     @cached_property
-    def _extended(self) -> tuple[FloatArray, int]:
-        """Knots of the functions that reach into the range, and the number of the first of these functions."""
+    def extended(self) -> tuple[FloatArray, int]:
+        """Knots of all functions that reach into the range, and the number of the first (of the period before)."""
         if not self.periodic:
             return self.knots, 0
         p, n, m = self.degree, self.n, int(self.multiplicities[0])
@@ -141,12 +142,53 @@ class BSplineBasis:
     @property
     def greville(self) -> FloatArray:
         """Greville abscissae, shape (n,): means of ``degree`` consecutive knots, within the range."""
-        knots, first = self._extended
+        knots, first = self.extended
         means = np.lib.stride_tricks.sliding_window_view(knots[1:-1], self.degree).mean(axis=1)
         if not self.periodic:
             return means
         low, high = self.knots[0], self.knots[-1]
         return low + (means[np.arange(self.n) - first] - low) % (high - low)
+
+    def find(self, xi: ArrayLike) -> NDArray[np.int64]:
+        """Which breakpoint each parameter is, up to rounding; -1 where it is none."""
+        x = np.asarray(xi, dtype=np.float64)
+        slack = SAME_KNOT * (self.knots[-1] - self.knots[0])
+        at = np.minimum(np.searchsorted(self.breakpoints, x - slack), len(self.breakpoints) - 1)
+        return np.where(np.abs(self.breakpoints[at] - x) <= slack, at, -1)
+
+    def elevated(self, degree: int) -> "BSplineBasis":
+        """Basis of a higher degree on the same breakpoints with the same continuity; it contains this one.
+
+        Args:
+            degree: not below the present one.
+
+        Raises:
+            ValueError: the degree is below the present one.
+        """
+        p = checks.whole("degrees", degree, self.degree)
+        return replace(self, degree=p, knots=np.repeat(self.breakpoints, self.multiplicities + p - self.degree))
+
+    def with_knots(self, knots: ArrayLike) -> "BSplineBasis":
+        """Basis that has every given knot at least as often as it is given; it contains this one.
+
+        Args:
+            knots: within the range, in any order.
+
+        Raises:
+            ValueError: a knot lies outside the range, or inside it more than ``degree`` times.
+        """
+        x = np.sort(checks.array("knots", knots, (None,)))
+        at = self.find(x)
+        x = np.where(at < 0, x, self.breakpoints[at])
+        low, high = self.breakpoints[[0, -1]]
+        if len(x) and not low <= x[0] <= x[-1] <= high:
+            raise ValueError(f"knots ranges over [{x[0]}, {x[-1]}]: knots in [{low}, {high}] are required")
+        unique, counts = np.unique(x, return_counts=True)
+        ticks = np.union1d(self.breakpoints, unique)
+        repeat = np.zeros(len(ticks), dtype=np.int64)
+        repeat[np.searchsorted(ticks, self.breakpoints)] = self.multiplicities
+        np.maximum.at(repeat, np.searchsorted(ticks, unique), counts)
+        return replace(self, knots=np.repeat(ticks, repeat))
 
     def local(self, xi: ArrayLike, order: int = 0) -> tuple[FloatArray, IntArray]:
         """Values and indices of the functions that may be non-zero at points.
@@ -163,12 +205,14 @@ class BSplineBasis:
         """
         x = checks.array("xi", xi, (None,))
         checks.choice("order", order, (0, 1))
-        low, high = self.knots[0], self.knots[-1]
+        low, high, p = self.knots[0], self.knots[-1], self.degree
+        if not len(x):
+            return np.zeros((0, p + 1)), np.zeros((0, p + 1), dtype=np.int32)
         slack = 1e-12 * (high - low)
-        if len(x) and (x.min() < low - slack or x.max() > high + slack):
+        if x.min() < low - slack or x.max() > high + slack:
             raise ValueError(f"xi ranges over [{x.min()}, {x.max()}]: values in [{low}, {high}] are required")
-        x, p = np.clip(x, low, high), self.degree
-        t, first = self._extended
+        x = np.clip(x, low, high)
+        t, first = self.extended
         matrix = BSpline.design_matrix(x, t, p)
         values, index = matrix.data.reshape(len(x), p + 1), matrix.indices.reshape(len(x), p + 1)
         if order:
@@ -208,6 +252,33 @@ class TensorBasis:
         """Ranges of the parameters: lower and upper corner, shape (2, parametric dimension)."""
         return np.array([[basis.knots[0], basis.knots[-1]] for basis in self.directions]).T
 
+    @property
+    def greville(self) -> FloatArray:
+        """Tensor grid of the Greville abscissae, shape (n, parametric dimension)."""
+        grid = np.meshgrid(*(basis.greville for basis in self.directions), indexing="ij")
+        return np.column_stack([axis.ravel(order="F") for axis in grid])
+
+    def interpolate(self, values: ArrayLike) -> FloatArray:
+        """Coefficients of the spline with given values at the Greville points, one direction after the other.
+
+        Args:
+            values: shape (n, k).
+
+        Returns:
+            Coefficients, shape (n, k).
+
+        Raises:
+            ValueError: the values have no such shape.
+        """
+        net = checks.array("values", values, (self.n, None))
+        net = net.reshape([*(basis.n for basis in self.directions), -1], order="F")
+        for axis, basis in enumerate(self.directions):
+            rows = np.moveaxis(net, axis, 0)
+            collocation = TensorBasis((basis,)).evaluate(basis.greville[:, None])
+            solved = splu(collocation.tocsc()).solve(rows.reshape(len(rows), -1))
+            net = np.moveaxis(solved.reshape(rows.shape), 0, axis)
+        return net.reshape(self.n, -1, order="F")
+
     def evaluate(self, xi: ArrayLike, derivative: int | None = None) -> sp.csr_matrix:
         """Values or first derivatives of all functions at parametric points.
 
@@ -222,6 +293,8 @@ class TensorBasis:
         if derivative is not None:
             checks.choice("derivative", derivative, tuple(range(self.dim)))
         m = len(points)
+        if m == 0:
+            return sp.csr_matrix((0, self.n))
         values, columns = np.ones((m, 1)), np.zeros((m, 1), dtype=np.int64)
         stride = 1
         for direction, (basis, x) in enumerate(zip(self.directions, points.T, strict=True)):
