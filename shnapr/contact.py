@@ -1,0 +1,327 @@
+"""Contact of thin shells with themselves and each other by a potential between their points.
+
+Source: Kamensky et al., "A contact formulation based on a volumetric potential", doi:10.1016/j.cma.2017.11.007. All
+pairs of nodes whose reference distance exceeds r_self interact through ``E_c = sum_pairs W_A W_B phi(r_AB)``, with the
+nodal quadrature weights W and a potential phi that vanishes from r_max on. Surfaces cannot pass between their points
+as long as the spacing of the nodes is well below r_max.
+"""
+
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from tigar_x import checks
+from tigar_x.compat import FloatArray
+from tigar_x.linear import SolveError
+from tigar_x.quadrature import NodalQuadrature
+
+log = logging.getLogger(__name__)
+
+SKIN = 0.2
+"""How much further than r_max pairs are searched, relative to it: they serve until a node has moved by half of that."""
+COINCIDENT = 1e-12
+"""Distance relative to r_max below which two points have no direction of their own."""
+
+IndexArray = NDArray[np.intp]
+
+
+class Kernel(Protocol):
+    """Potential phi(r) of a pair of points per product of their weights; arrays in, arrays out."""
+
+    @property
+    def r_max(self) -> float:
+        """Distance from which on the potential vanishes; unit: length."""
+
+    def energy(self, r: FloatArray) -> FloatArray:
+        """Potential phi, zero at r_max, of distances r >= 0."""
+
+    def slope(self, r: FloatArray) -> FloatArray:
+        """First derivative phi' at distances r >= 0; negative where the points repel each other."""
+
+    def curvature(self, r: FloatArray) -> FloatArray:
+        """Second derivative phi'' at distances r >= 0."""
+
+
+@dataclass(frozen=True)
+class LinearKernel:
+    """Repulsion that grows linearly from r_max inwards: ``phi' = -k (r_max - r)``.
+
+    Attributes:
+        r_max: range > 0; unit: length.
+        stiffness: k > 0; unit: force/length^5, in the plane force/length^4 (per unit depth).
+
+    Raises:
+        ValueError: a parameter is out of range.
+    """
+
+    r_max: float
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        checks.positive("r_max", self.r_max)
+        checks.positive("stiffness", self.stiffness)
+
+    def energy(self, r: FloatArray) -> FloatArray:
+        """Potential ``k (r_max - r)^2/2`` at distances r."""
+        return self.stiffness * np.maximum(self.r_max - r, 0.0) ** 2 / 2.0
+
+    def slope(self, r: FloatArray) -> FloatArray:
+        """First derivative phi' at distances r."""
+        return -self.stiffness * np.maximum(self.r_max - r, 0.0)
+
+    def curvature(self, r: FloatArray) -> FloatArray:
+        """Second derivative phi'' at distances r; jumps from k to zero at r_max."""
+        return np.where(r < self.r_max, self.stiffness, 0.0)
+
+
+@dataclass(frozen=True)
+class SmoothedKernel:
+    """The linear repulsion with a quadratic onset over a length ``L = s r_max``, so that phi'' is continuous.
+
+    ``phi' = -k (r_max - r)^2/(2 L)`` for ``r_max - r < L``, else ``-k (r_max - r - L/2)``.
+
+    Attributes:
+        r_max: range > 0; unit: length.
+        stiffness: k > 0; unit: force/length^5, in the plane force/length^4 (per unit depth).
+        smoothing: s in (0, 1].
+
+    Raises:
+        ValueError: a parameter is out of range.
+    """
+
+    r_max: float
+    stiffness: float
+    smoothing: float
+
+    def __post_init__(self) -> None:
+        checks.positive("r_max", self.r_max)
+        checks.positive("stiffness", self.stiffness)
+        if not 0.0 < checks.finite("smoothing", self.smoothing) <= 1.0:
+            raise ValueError(f"smoothing = {self.smoothing!r}: a number in (0, 1] is required")
+
+    def _onset(self, r: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Length L of the onset, overlap r_max - r, and the part of the overlap within L."""
+        length, overlap = self.smoothing * self.r_max, np.maximum(self.r_max - r, 0.0)
+        return length, overlap, np.minimum(overlap, length)
+
+    def energy(self, r: FloatArray) -> FloatArray:
+        """Potential ``k (a^3 - (a - c)^3)/(6 L)`` at distances r, with the overlap a and its part c within L."""
+        length, a, c = self._onset(r)
+        return self.stiffness * c * (3.0 * a * (a - c) + c**2) / (6.0 * length)
+
+    def slope(self, r: FloatArray) -> FloatArray:
+        """First derivative phi' at distances r."""
+        length, a, c = self._onset(r)
+        return -self.stiffness * c * (2.0 * a - c) / (2.0 * length)
+
+    def curvature(self, r: FloatArray) -> FloatArray:
+        """Second derivative phi'' at distances r."""
+        length, _, c = self._onset(r)
+        return self.stiffness * c / length
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForces:
+    """Contact in one configuration.
+
+    Attributes:
+        energy: E_c; unit: energy (per depth in the plane).
+        forces: contribution to the finite element residual, the derivative of E_c by the homogeneous nodal values,
+            shape (nodes, d).
+        tangent: derivative of ``forces`` by the homogeneous nodal values, with blocks for touching nodes only, shape
+            (nodes d, nodes d), symmetric; None: not asked for.
+        pairs: number of interacting pairs.
+        distance: smallest distance of an interacting pair; inf without any.
+        coincident: number of pairs in the same place.
+    """
+
+    energy: float
+    forces: FloatArray
+    tangent: sp.bsr_matrix | None
+    pairs: int
+    distance: float
+    coincident: int
+
+
+class SelfContact:
+    """Contact of a shell, or of several in one spline, with itself.
+
+    Pairs are searched with a k-d tree, somewhat beyond r_max, and only again once a node has moved so far that another
+    pair might interact. What comes out depends on the given positions alone.
+
+    Points in the same place (closer than 1e-12 r_max) repel each other along the line between their reference
+    positions, which r_self keeps apart; their tangent has no part across that line.
+
+    Args:
+        quadrature: reference positions (in d = 2 or 3 dimensions) and weights of the points; those of weight zero take
+            no part.
+        kernel: the potential; its r_max is below r_self.
+        r_self: pairs with at most this distance in the reference configuration never interact; unit: length.
+
+    Attributes:
+        quadrature: as given.
+        kernel: as given.
+        r_self: as given.
+
+    Raises:
+        ValueError: an argument is out of range or has a wrong shape.
+    """
+
+    def __init__(self, quadrature: NodalQuadrature, kernel: Kernel, r_self: float) -> None:
+        points = checks.array("quadrature.points", quadrature.points, (None, None))
+        n, d = points.shape
+        if d not in (2, 3):
+            raise ValueError(f"quadrature.points has shape {points.shape}: shape (any, 2) or (any, 3) is required")
+        for name in ("weights", "rational"):
+            values = checks.array(f"quadrature.{name}", getattr(quadrature, name), (n,))
+            lowest = values.min(initial=np.inf)
+            if lowest < 0.0 or (name == "rational" and lowest == 0.0):
+                allowed = ">= 0" if name == "weights" else "> 0"
+                raise ValueError(f"quadrature.{name}[{values.argmin()}] = {lowest}: numbers {allowed} are required")
+        r_max = checks.positive("kernel.r_max", kernel.r_max)
+        if not r_max < checks.positive("r_self", r_self):
+            raise ValueError(f"kernel.r_max = {r_max} with r_self = {r_self}: kernel.r_max < r_self is required")
+        self.quadrature = quadrature
+        self.kernel = kernel
+        self.r_self = float(r_self)
+        self._used = np.flatnonzero(quadrature.weights)
+        self._searched_at: FloatArray | None = None
+        self._found: IndexArray = np.empty((0, 2), dtype=np.intp)
+        self._warned = False
+
+    @cached_property
+    def spacing_ratio(self) -> float:
+        """Largest local spacing of the points over r_max; beyond about 0.75 surfaces may pass between points.
+
+        The spacing at a point is the square root (in the plane: the value) of the mean weight of the points within
+        r_self of it in the reference configuration.
+        """
+        X, W = self.quadrature.points[self._used], self.quadrature.weights[self._used]
+        n, dim = len(X), X.shape[1] - 1
+        i, j = cKDTree(X).query_pairs(self.r_self, output_type="ndarray").T
+        number = 1 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
+        area = W + np.bincount(i, W[j], minlength=n) + np.bincount(j, W[i], minlength=n)
+        return float((area / number).max(initial=0.0) ** (1 / dim) / self.kernel.r_max)
+
+    def evaluate(
+        self, x: ArrayLike, *, tangent: bool = True, positive: bool = False, alpha: float = 1.0
+    ) -> ContactForces:
+        """Energy, forces and tangent in a configuration.
+
+        Args:
+            x: current positions of the points, shape (nodes, d); unit: length.
+            tangent: whether to assemble the tangent.
+            positive: leave out what makes the tangent of a pair indefinite, ``phi'/r (I - r r)`` of repelling points
+                and a negative phi''.
+            alpha: factor of the tangent > 0, the derivative of x by the positions solved for (alpha_f of a time step).
+
+        Returns:
+            The contact.
+
+        Raises:
+            ValueError: x has a wrong shape, or alpha is out of range.
+            SolveError: x is not finite, as after a failed solve.
+        """
+        positions, alpha = self._checked(x), checks.positive("alpha", alpha)
+        pairs, gap, r = self._interacting(positions)
+        apart = r >= COINCIDENT * self.kernel.r_max
+        inverse = np.divide(1.0, r, out=np.zeros_like(r), where=apart)
+        direction = inverse[:, None] * gap
+        if not apart.all():
+            direction[~apart] = self._reference_directions(pairs[~apart])
+        weight = self.quadrature.weights[pairs].prod(axis=1)
+        slope = weight * self.kernel.slope(r)
+        w = self.quadrature.rational
+        forces = _ends(pairs, len(w), -1.0) @ (slope[:, None] * direction) / w[:, None]
+        matrix = None
+        if tangent:
+            along, across = alpha * weight * self.kernel.curvature(r), alpha * slope * inverse
+            if positive:
+                along, across = np.maximum(along, 0.0), np.maximum(across, 0.0)
+            matrix = _assemble(pairs, _stiffness(direction, along, across), w)
+        energy, distance = float(weight @ self.kernel.energy(r)), float(r.min(initial=np.inf))
+        return ContactForces(energy, forces, matrix, len(pairs), distance, int(np.count_nonzero(~apart)))
+
+    def _checked(self, x: ArrayLike) -> FloatArray:
+        positions = np.asarray(x, dtype=np.float64)
+        if positions.shape != self.quadrature.points.shape:
+            raise ValueError(f"x has shape {positions.shape}: shape {self.quadrature.points.shape} is required")
+        if not np.isfinite(positions).all():
+            raise SolveError("x, the positions at which contact is evaluated, is not finite")
+        return positions
+
+    def _interacting(self, x: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
+        """Admissible pairs closer than r_max in ascending order, the vectors between them and their distances."""
+        reach = (1.0 + SKIN) * self.kernel.r_max
+        slack = 0.5 * SKIN * self.kernel.r_max / np.sqrt(x.shape[1])
+        if self._searched_at is None or np.abs(x - self._searched_at).max(initial=0.0) > slack:
+            self._found, self._searched_at = self._search(x, reach), x.copy()
+        gap, r = _gaps(x, self._found)
+        close = r < self.kernel.r_max
+        return self._found[close], gap[close], r[close]
+
+    def _search(self, x: FloatArray, reach: float) -> IndexArray:
+        """All admissible pairs closer than ``reach``, in ascending order, shape (pairs, 2)."""
+        tree = cKDTree(x[self._used], balanced_tree=False, compact_nodes=False)
+        pairs = self._used[tree.query_pairs(reach, output_type="ndarray")]
+        pairs = pairs[_gaps(self.quadrature.points, pairs)[1] > self.r_self]
+        return pairs[_by_column(pairs[:, 1], pairs[:, 0], np.arange(len(pairs)), len(x)).data]
+
+    def _reference_directions(self, pairs: IndexArray) -> FloatArray:
+        """Unit vectors between the reference positions of pairs that are in the same place."""
+        if not self._warned:
+            self._warned = True
+            log.warning("contact: %d pairs of points are in the same place; they are pushed back apart", len(pairs))
+        gap, r = _gaps(self.quadrature.points, pairs)
+        return gap / r[:, None]
+
+
+def _gaps(x: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Vectors from the first to the second point of pairs, and their lengths."""
+    gap = np.take(x, pairs[:, 1], axis=0)
+    gap -= np.take(x, pairs[:, 0], axis=0)
+    return gap, np.sqrt(np.einsum("pi,pi->p", gap, gap))
+
+
+def _ends(pairs: IndexArray, n: int, first: float) -> sp.csc_matrix:
+    """Matrix (n, pairs) that adds a pair's value to its second point and ``first`` times it to its first."""
+    m = len(pairs)
+    signs = np.tile([first, 1.0], m)
+    return sp.csc_matrix((signs, pairs.ravel(), np.arange(0, 2 * m + 1, 2)), shape=(n, m))
+
+
+def _by_column(rows: IndexArray, columns: IndexArray, values: IndexArray, n: int) -> sp.csc_matrix:
+    """Distinct entries sorted by columns and then by rows, in linear time."""
+    table = sp.coo_matrix((values, (rows, columns)), shape=(n, n))
+    table.has_canonical_format = True  # no entry twice: nothing to sum
+    return table.tocsr().tocsc()
+
+
+def _stiffness(direction: FloatArray, along: FloatArray, across: FloatArray) -> FloatArray:
+    """Blocks ``along r r + across (I - r r)`` of pairs, shape (pairs, d, d)."""
+    blocks = direction[:, :, None] * direction[:, None, :]
+    blocks *= (along - across)[:, None, None]
+    for i in range(direction.shape[1]):
+        blocks[:, i, i] += across
+    return blocks
+
+
+def _assemble(pairs: IndexArray, blocks: FloatArray, w: FloatArray) -> sp.bsr_matrix:
+    """Sum over pairs of their block on both diagonals and minus it off them, for homogeneous nodal values."""
+    (m, d, _), n = blocks.shape, len(w)
+    touching = np.zeros(n, dtype=bool)
+    touching[pairs] = True
+    nodes = np.flatnonzero(touching)
+    diagonal = (_ends(pairs, n, 1.0) @ blocks.reshape(m, d * d))[nodes].reshape(-1, d, d) / w[nodes, None, None] ** 2
+    values = np.concatenate([-blocks / w[pairs].prod(axis=1)[:, None, None], diagonal])
+    number, (i, j) = np.arange(len(values)), pairs.T
+    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
+    order = _by_column(rows, columns, np.concatenate([number[:m], number]), n)  # symmetric: as good as by rows
+    data = np.take(values, order.data, axis=0)
+    return sp.bsr_matrix((data, order.indices, order.indptr), shape=(n * d, n * d))
