@@ -11,7 +11,10 @@ from dolfinx import fem, mesh
 from splines import WORLD, spline
 
 from tigar_x import compat
+from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries, replace_text
+from tigar_x.patch import Patch
+from tigar_x.spline import ExtractedSpline
 
 
 @pytest.fixture
@@ -169,10 +172,29 @@ def test_vtu_series_whose_names_contain_dots_are_kept_apart(folder):
 
 
 @pytest.mark.mpi
-@pytest.mark.skipif(WORLD.size == 1, reason="needs more than one rank")
-def test_vtu_refuses_a_distributed_spline(folder):
-    with pytest.raises(ValueError, match=f"spline lives on {WORLD.size} ranks"):
-        VTUSeries(folder / "shell", spline("line"))
+@pytest.mark.parametrize("cells", ["tensor", "simplex"])
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_vtu_of_a_distributed_spline_fills_the_whole_shape(folder, dim, cells):
+    meshio = pytest.importorskip("meshio")
+    bases = [BSplineBasis(p, open_knots(p, np.linspace(0, 1, 4))) for p in (2, 1, 3)[:dim]]
+    grid = np.meshgrid(*[basis.greville for basis in bases], indexing="ij")
+    patch = Patch.from_points(bases, np.column_stack([2.0 * g.ravel(order="F") for g in grid]))
+    s = ExtractedSpline(patch, cells=cells)
+    with VTUSeries(folder / "shape", s, x=lambda: s.node_positions[:, 0], u=s.project(s.F[0] ** 2)) as movie:
+        movie.write(0.0)
+    WORLD.barrier()
+    written = meshio.read(folder / "shape_000000.vtu")
+    (block,) = written.cells
+    corners = written.points[block.data][:, :, :dim]
+    np.testing.assert_allclose(written.point_data["x"], written.points[:, 0], rtol=0, atol=1e-14)
+    if bases[0].degree > 1:
+        np.testing.assert_allclose(written.point_data["u"], written.points[:, 0] ** 2, rtol=0, atol=1e-12)
+    if block.type in ("triangle", "tetra"):
+        edges = corners[:, 1:] - corners[:, :1]
+        volume = np.abs(np.linalg.det(edges)).sum() / (1, 1, 2, 6)[dim]
+    else:
+        volume = np.prod(np.ptp(corners, axis=1), axis=1).sum()
+    assert volume == pytest.approx(2.0**dim, rel=1e-12)
 
 
 # -- CSV and text -----------------------------------------------------------------------------------------------------

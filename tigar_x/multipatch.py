@@ -60,6 +60,10 @@ class MultiPatch(ControlNet):
         chosen = range(len(self.patches)) if patch is None else [self.checked(patch)]
         return [(k, *self.patches[k].locate_side(name)) for k in chosen for name in names or self.patches[k].open_sides]
 
+    def side_places(self) -> list[dict[str, tuple[int, int]]]:
+        """Sides by name, see :meth:`tigar_x.patch.ControlNet.side_places`."""
+        return [places for patch in self.patches for places in patch.side_places()]
+
     def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
         """Functions next to a side, see :meth:`tigar_x.patch.ControlNet.side_functions`."""
         own = self.patches[patch].side_functions(0, direction, end, layers)

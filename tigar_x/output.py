@@ -76,17 +76,15 @@ class XDMFSeries(_Series):
 class VTUSeries(_Series):
     """A deformed spline in physical space: numbered VTU files and one PVD index that ParaView opens.
 
-    Bezier elements are drawn as linear cells between neighbouring nodes. Only rank 0 writes.
+    Bezier elements are drawn as linear cells between neighbouring nodes. Rank 0 gathers and writes (collective on the
+    spline's communicator).
 
     Args:
         path: path without ending; its folder is made.
-        spline: lives whole on this rank.
+        spline: curve, surface or volume of one or several patches.
         y: homogeneous displacement; None: the reference configuration.
-        fields: point data by name: a homogeneous function of the spline's ``V``, or a callable that returns values at
-            the nodes, shape (nodes,) or (nodes, nsd).
-
-    Raises:
-        ValueError: the spline is distributed.
+        fields: point data by name: a homogeneous isoparametric function of any number of components, or a callable
+            that returns physical values at this rank's nodes, shape (nodes,) or (nodes, components).
     """
 
     def __init__(
@@ -96,42 +94,51 @@ class VTUSeries(_Series):
         y: fem.Function | None = None,
         **fields: fem.Function | Callable[[], FloatArray],
     ) -> None:
-        if spline.mesh.comm.size > 1:
-            raise ValueError(f"spline lives on {spline.mesh.comm.size} ranks: VTUSeries needs MPI.COMM_SELF")
         self._path = Path(path)
         self._spline = spline
+        self._comm = spline.mesh.comm
         self._y = y
         self._fields = fields
-        self._kind, self._cells = subcells(spline.V)
+        self._kind, cells = subcells(spline.V)
+        counts = self._comm.allgather(len(spline.node_positions))
+        self._cells = self._gather(cells + sum(counts[: self._comm.rank]))
         self._entries: list[str] = []
         self._writes = MPI.COMM_WORLD.rank == 0
         if self._writes:
             self._path.parent.mkdir(parents=True, exist_ok=True)
 
+    def _gather(self, rows: Any) -> Any:
+        """Rows of all ranks, one after the other, on rank 0; nothing elsewhere."""
+        if self._comm.size == 1:
+            return rows
+        parts = self._comm.gather(np.ascontiguousarray(rows))
+        return None if parts is None else np.concatenate(parts)
+
     @staticmethod
     def _padded(values: FloatArray) -> FloatArray:
-        if values.ndim == 1 or values.shape[1] == 3:
+        if values.ndim == 1 or values.shape[1] > 2:
             return values
-        return np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
+        return values[:, 0] if values.shape[1] == 1 else np.pad(values, ((0, 0), (0, 1)))
 
     def _values(self, field: Any) -> FloatArray:
-        values = self._spline.nodal(field) if isinstance(field, fem.Function) else np.asarray(field())
-        return self._padded(values)
+        return self._spline.nodal(field) if isinstance(field, fem.Function) else np.asarray(field())
 
     def write(self, t: float) -> None:
         """Write the present configuration at time ``t``."""
+        points, data = self._spline.node_positions, {}
+        if self._y is not None:
+            data["displacement"] = self._spline.nodal(self._y)
+            points = points + data["displacement"]
+        data.update({name: self._values(field) for name, field in self._fields.items()})
+        points, data = self._gather(points), {name: self._gather(values) for name, values in data.items()}
         if not self._writes:
             return
         import meshio
 
-        points, data = self._spline.node_positions, {}
-        if self._y is not None:
-            displacement = self._spline.nodal(self._y)
-            points = points + displacement
-            data["displacement"] = self._padded(displacement)
-        data.update({name: self._values(field) for name, field in self._fields.items()})
         file = self._path.with_name(f"{self._path.name}_{len(self._entries):06d}.vtu")
-        meshio.Mesh(self._padded(points), [(self._kind, self._cells)], point_data=data).write(file)
+        cells, fields = [(self._kind, self._cells)], {name: self._padded(values) for name, values in data.items()}
+        in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        meshio.Mesh(in_space, cells, point_data=fields).write(file)
         self._entries.append(f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{file.name}"/>\n')
         index = (
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
@@ -187,6 +194,16 @@ def replace_text(path: Path, text: str) -> None:
         path: file name.
         text: content.
     """
+    replace_bytes(path, text.encode())
+
+
+def replace_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file so that a reader finds the old or the new content, never a part.
+
+    Args:
+        path: file name.
+        content: content.
+    """
     part = path.with_name(path.name + ".part")
-    part.write_text(text)
+    part.write_bytes(content)
     os.replace(part, path)

@@ -85,6 +85,10 @@ class ControlNet:
         """
         raise NotImplementedError
 
+    def side_places(self) -> list[dict[str, tuple[int, int]]]:
+        """For every patch its sides by name, each with its direction and end."""
+        raise NotImplementedError
+
     def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
         """Functions next to a side, sorted.
 
@@ -269,13 +273,17 @@ class Patch(ControlNet):
         Raises:
             ValueError: there is no such side; the message lists those there are.
         """
-        known = {key: SIDES[key] for key in self.open_sides} | dict(self.side_names)
+        (known,) = self.side_places()
         return known[checks.choice("name", name, tuple(known))]
 
     def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
         """Sides by name, see :meth:`ControlNet.locate_sides`."""
         checks.choice("patch", patch, (None, 0))
         return [(0, *self.locate_side(name)) for name in names or self.open_sides]
+
+    def side_places(self) -> list[dict[str, tuple[int, int]]]:
+        """Sides by name, see :meth:`ControlNet.side_places`."""
+        return [{name: SIDES[name] for name in self.open_sides} | dict(self.side_names)]
 
     @property
     def open_sides(self) -> tuple[str, ...]:

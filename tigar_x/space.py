@@ -34,6 +34,8 @@ class SplineSpace:
         M: extraction matrix (PETSc) from free coefficients to nodal values. Without constraints all are free.
         zero_dofs: columns of ``M`` whose increments vanish; empty with constraints, which drop these columns.
         n: number of coefficients, constrained ones included.
+        fixed: the coefficients given as zero dofs, sorted.
+        constraints: all rows of G, shape (constraints, n).
 
     Raises:
         ValueError: no part, a zero dof out of range, or constraints of another size.
@@ -59,9 +61,11 @@ class SplineSpace:
         self.sizes = tuple(functions.n * size for functions, size in self.parts)
         self.n = sum(self.sizes)
         fixed: IntArray = np.unique(np.asarray(zero_dofs, dtype=np.int32))
+        self.fixed = fixed
         if len(fixed) and not 0 <= fixed[0] <= fixed[-1] < self.n:
             raise ValueError(f"zero_dofs ranges over [{fixed[0]}, {fixed[-1]}]: 0 to {self.n - 1} allowed")
         self._T = null_space(constraints, fixed, self.n) if len(constraints) else None
+        self.constraints = sp.vstack([sp.csr_matrix((0, self.n)), *constraints], format="csr")
         self.zero_dofs = fixed if self._T is None else fixed[:0]
         self.M = petsc_matrix(self.rows, domain.comm)
 

@@ -68,6 +68,12 @@ class ExtractedSpline:
         constraints: further linear constraints in ``V``, see :mod:`tigar_x.constraints`.
 
     Attributes:
+        geometry: as given.
+        cells: as given.
+        dim: parametric dimension.
+        nsd: dimension of physical space.
+        mesh: parametric mesh.
+        vector: the space of ``V`` with its conditions.
         V: vector Lagrange space with nsd components, for homogeneous displacement-like fields.
         M: extraction matrix of ``V`` (PETSc), from spline coefficients to nodal values.
         rows: this rank's rows of ``M`` (scipy).
@@ -93,6 +99,7 @@ class ExtractedSpline:
         constraints: Sequence[sp.spmatrix] = (),
     ) -> None:
         self.geometry = self.patch = geometry
+        self.cells = cells
         self.dim, self.nsd = geometry.dim, geometry.nsd
         chosen = 2 * max(geometry.functions.degrees) if quadrature_degree is None else quadrature_degree
         self.quadrature_degree = checks.whole("quadrature_degree", chosen, 0)
