@@ -92,14 +92,14 @@ class Scene:
         return x, self.patch.weights[:, None] * (x - self.patch.points)
 
     def residual(self, U):
-        self.y.x.array[:] = (self.spline.extraction.M @ U).ravel()
+        self.y.x.array[:] = self.spline.function(U).x.array
         b, result = compat.create_vector(self.spline.V), self.spline.M.createVecRight()
         compat.assemble_vector(b, self._R)
         self.spline.M.multTranspose(b, result)
         return result.array.reshape(U.shape)
 
     def tangent(self, U):
-        self.y.x.array[:] = (self.spline.extraction.M @ U).ravel()
+        self.y.x.array[:] = self.spline.function(U).x.array
         A = compat.create_matrix(self._K, "aij")
         compat.assemble_matrix(A, self._K)
         A.assemble()
