@@ -1,6 +1,6 @@
 """Static loading in steps that follow the difficulty: cut where Newton fails, grown where it converges easily.
 
-Source of the policy: Crisfield, Non-linear Finite Element Analysis of Solids and Structures, vol. 1, Wiley 1991,
+Compare Crisfield, Non-linear Finite Element Analysis of Solids and Structures, vol. 1, Wiley 1991,
 section 9.5.
 """
 
