@@ -1,8 +1,9 @@
 """Factories of curved surfaces: exact round ones, and the leaflets of a heart valve.
 
-Round surfaces are rational and over [0, 1]^2. Arcs are quadratic, of equal spans of up to 90 degrees, and C0 where two
-spans meet. A full circle is periodic: four such spans, or, from degree 4 on, quartic and C1, which is what thin shells
-need. `elements` counts equal parts of a direction; the ends of the spans are breakpoints besides.
+Round surfaces are rational and over [0, 1]^2. Arcs are quadratic, of equal spans of up to 90 degrees. Where two spans
+meet the functions are only C0, so that a thin shell would fold there as on a hinge. A full circle is periodic: four such
+spans, or, from degree 4 on, a quartic whose functions are C1. `elements` counts equal parts of a direction; the ends of
+the spans are breakpoints besides.
 """
 
 from collections.abc import Sequence
@@ -179,7 +180,7 @@ def leaflet(
         z_top: height where they end.
         opening: distance of the middle of the free edge from the axis.
         sag: how much lower the middle of the free edge is than its ends.
-        belly: how much lower the middle is than between the edges.
+        belly: how much lower the middle is than halfway between the edges.
         elements: number of Bezier elements from post to post (u) and from the free to the attached edge (v).
         degrees: polynomial degrees.
 
