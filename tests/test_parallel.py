@@ -1,27 +1,33 @@
-"""The tests marked mpi pass on two ranks."""
+"""The tests marked mpi pass on two ranks, and standalone splines give the same on one, two and three."""
 
-import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
+import json
 
+import numpy as np
 import pytest
 from mpi4py import MPI
+from mpi_runs import MPIRUN, mpirun
 from on_disk import ROOT
 
-# An MPI that came with the environment's mpi4py goes before the system's.
-MPIRUN = shutil.which("mpirun", path=str(Path(sys.executable).parent)) or shutil.which("mpirun")
+pytestmark = [
+    pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="already parallel"),
+    pytest.mark.skipif(MPIRUN is None, reason="no mpirun"),
+]
 
 
-@pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="already parallel")
-@pytest.mark.skipif(MPIRUN is None, reason="no mpirun")
 def test_two_ranks():
-    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
-    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-    oversubscribe = ["--oversubscribe"] if "Open MPI" in MPI.Get_library_version() else []
-    command = [MPIRUN, "-n", "2", *oversubscribe, sys.executable, "-m", "pytest", "-q", "-m", "mpi"]
-    command += ["-p", "no:cacheprovider", "--color=no", str(ROOT / "tests")]
-    done = subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT, timeout=1500)
+    done = mpirun(2, "-m", "pytest", "-q", "-m", "mpi", "-p", "no:cacheprovider", "--color=no", ROOT / "tests")
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
     assert done.stdout.count(" passed") == 2
+
+
+def test_standalone_splines_do_not_depend_on_the_number_of_ranks():
+    results = {}
+    for ranks in (1, 2, 3):
+        done = mpirun(ranks, ROOT / "tests" / "standalone.py")
+        assert done.returncode == 0, done.stderr[-3000:]
+        results[ranks] = json.loads(done.stdout.splitlines()[-1])
+    assert len(results[1]) >= 4
+    for ranks in (2, 3):
+        for name, values in results[1].items():
+            scale = np.abs(values).max()
+            np.testing.assert_allclose(results[ranks][name], values, rtol=0, atol=1e-9 * scale, err_msg=name)

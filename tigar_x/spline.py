@@ -21,7 +21,9 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal, tagged_boundary
 from tigar_x.functions import Cells
-from tigar_x.patch import ControlNet
+from tigar_x.locate import closest_points
+from tigar_x.multipatch import MultiPatch
+from tigar_x.patch import ControlNet, Patch
 from tigar_x.solve import SplineSystem, solve_linear
 from tigar_x.space import SplineSpace
 
@@ -222,6 +224,34 @@ class ExtractedSpline:
         N = functions.evaluate(functions.to_plane(patch, x))
         size = u.function_space.dofmap.index_map_bs
         return np.asarray((N @ self.free(size).coefficients(u)) / (N @ self.geometry.weights)[:, None])
+
+    def evaluate_at(self, u: fem.Function, points: ArrayLike, *, distance: float | None = None) -> FloatArray:
+        """Physical values of a homogeneous isoparametric field at points of space (collective).
+
+        Args:
+            u: field of any number of components, in the spline space.
+            points: on the reference configuration, or near it: the closest points count; the same on every rank, shape
+                (m, nsd); unit: length.
+            distance: largest distance from the spline that is allowed; None: 1e-6 of its size.
+
+        Returns:
+            Values, shape (m, components), on every rank.
+
+        Raises:
+            ValueError: a point lies farther away, or the geometry was read from a file.
+        """
+        if not isinstance(self.geometry, Patch | MultiPatch):
+            raise ValueError(f"geometry = {type(self.geometry).__name__}: points can be located on patches only")
+        found = closest_points(self.geometry, points)
+        allowed = 1e-6 * float(np.ptp(self.geometry.points, axis=0).max()) if distance is None else distance
+        if len(found.distance) and found.distance.max() > allowed:
+            i = int(found.distance.argmax())
+            raise ValueError(f"points[{i}] is {found.distance[i]:.3g} away from the spline: {allowed:.3g} is allowed")
+        values = np.empty((len(found.patch), u.function_space.dofmap.index_map_bs))
+        for patch in range(len(self.geometry.functions.bases)):
+            here = found.patch == patch
+            values[here] = self.evaluate(u, found.xi[here], patch)
+        return values
 
     # -- calculus -----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,59 @@
+"""Supports of a shell's edges, by name: degrees of freedom of the displacement that do not move.
+
+Symmetry, which ties degrees of freedom to each other, is in :func:`tigar_x.constraints.symmetry`.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tigar_x.compat import IntArray
+from tigar_x.multipatch import MultiPatch
+from tigar_x.patch import Patch
+
+
+def clamped(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None) -> IntArray:
+    """Edges whose position and tangent plane are held: the two outer rows of control points.
+
+    Args:
+        geometry: the shell, with open knot vectors across these edges.
+        sides: names of the edges, such as "u0".
+        patch: whose edges; None: those of that name of all patches.
+
+    Returns:
+        Zero dofs (function * nsd + component), sorted.
+
+    Raises:
+        ValueError: no side is named, or there is no such side or patch.
+    """
+    return _layers(geometry, sides, patch, 2, None)
+
+
+def pinned(
+    geometry: Patch | MultiPatch, *sides: str, components: Sequence[int] | None = None, patch: int | None = None
+) -> IntArray:
+    """Edges whose position is held, in all or some directions of space, and that may turn.
+
+    Args:
+        geometry: the shell.
+        sides: names of the edges.
+        components: axes along which they are held; None: all.
+        patch: whose edges; None: those of that name of all patches.
+
+    Returns:
+        Zero dofs (function * nsd + component), sorted.
+
+    Raises:
+        ValueError: no side is named, or there is no such side, patch or axis.
+    """
+    return _layers(geometry, sides, patch, 1, components)
+
+
+def _layers(
+    geometry: Patch | MultiPatch, sides: Sequence[str], patch: int | None, layers: int, axes: Sequence[int] | None
+) -> IntArray:
+    if not sides:
+        raise ValueError("sides is empty: name at least one edge")
+    places = geometry.locate_sides(sides, patch)
+    functions = np.unique(np.concatenate([geometry.side_functions(*place, layers) for place in places]))
+    return geometry.dofs(functions, axes)

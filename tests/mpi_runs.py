@@ -1,0 +1,22 @@
+"""Running a program on several ranks from a test that has one."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+from on_disk import ROOT
+
+# An MPI that came with the environment's mpi4py goes before the system's.
+MPIRUN = shutil.which("mpirun", path=str(Path(sys.executable).parent)) or shutil.which("mpirun")
+
+
+def mpirun(ranks, *arguments):
+    """Run this interpreter with arguments on a number of ranks; the finished process with its output."""
+    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
+    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
+    oversubscribe = ["--oversubscribe"] if "Open MPI" in MPI.Get_library_version() else []
+    command = [MPIRUN, "-n", str(ranks), *oversubscribe, sys.executable, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT, timeout=2400)
