@@ -21,9 +21,9 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray, IntArray
+from tigar_x.compat import FloatArray
 from tigar_x.linear import SolveError
-from tigar_x.solve import Extracted
+from tigar_x.space import Extracted, extracted_matrix
 
 _EPS = float(np.finfo(np.float64).eps)
 _SAME = 1e-8  # relative difference of distances to the shift that may be rounding
@@ -115,7 +115,7 @@ def eigenmodes(
     zero = np.asarray(space.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
     first, last = space.M.getOwnershipRangeColumn()
     free = np.setdiff1d(np.arange(first, last, dtype=PETSc.IntType), zero)
-    K, M = (_extracted(space, form, free) for form in compat.compile_forms(stiffness, mass))
+    K, M = (extracted_matrix(space, form, free) for form in compat.compile_forms(stiffness, mass))
     try:
         pairs = eigenpairs(K, M, count, shift=shift, backend=backend)
     finally:
@@ -123,18 +123,6 @@ def eigenmodes(
     vectors = np.zeros((count, last - first))
     vectors[:, free - first] = pairs.vectors
     return replace(pairs, vectors=vectors, functions=_functions(space, vectors))
-
-
-def _extracted(space: Extracted, form: Any, free: IntArray) -> PETSc.Mat:
-    """``M^T A M`` of a compiled form, without all but the free dofs."""
-    A = compat.create_matrix(form, "aij")
-    compat.assemble_matrix(A, form)
-    A.assemble()
-    product = A.PtAP(space.M)
-    kept = PETSc.IS().createGeneral(free, comm=A.comm)
-    part = product.createSubMatrix(kept, kept)
-    _destroy(A, product, kept)
-    return part
 
 
 def _functions(space: Extracted, coefficients: FloatArray) -> tuple[fem.Function, ...]:

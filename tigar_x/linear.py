@@ -202,6 +202,14 @@ class PreparedSolver:
         self._residual.axpy(-1.0, b)
         return bool(self._residual.norm() <= 0.1 * b.norm())
 
+    def destroy(self) -> None:
+        """Free the factors, which petsc4py would keep (collective); the object is of no use afterwards."""
+        self._ksp.destroy()
+        if self._fallback is not None:
+            self._fallback.destroy()
+        if self._residual is not None:
+            self._residual.destroy()
+
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.
 

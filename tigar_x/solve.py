@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray, IntArray
+from tigar_x.compat import FloatArray
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
+from tigar_x.space import Extracted
 
 
 class System(Protocol):
@@ -39,26 +40,6 @@ class System(Protocol):
 
     def subtract(self, increment: PETSc.Vec) -> None:
         """Move the state by minus the increment."""
-
-
-class Extracted(Protocol):
-    """What a reduced system needs to know of a spline: an ``ExtractedSpline`` for its ``V``, or a ``SplineSpace``."""
-
-    @property
-    def V(self) -> fem.FunctionSpace:
-        """Lagrange space."""
-
-    @property
-    def M(self) -> PETSc.Mat:
-        """Extraction matrix."""
-
-    @property
-    def rows(self) -> sp.csr_matrix:
-        """This rank's rows of ``M``."""
-
-    @property
-    def zero_dofs(self) -> IntArray:
-        """Columns of ``M`` whose increments vanish."""
 
 
 class FiniteElementSystem:
@@ -287,6 +268,8 @@ class SplineSystem:
 
     def _bind(self, A: PETSc.Mat) -> None:
         """Solve with another matrix; one with pairs has a new pattern every time."""
+        if self._solver is not None:
+            self._solver.destroy()
         if self._A is not None and self._A is not self._own:
             self._A.destroy()
         self._A, self._solver = A, PreparedSolver(self._recipe, A)

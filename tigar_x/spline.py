@@ -18,14 +18,14 @@ from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal, tagged_boundary
 from tigar_x.functions import Cells
+from tigar_x.linear import PreparedSolver, direct
 from tigar_x.locate import closest_points
-from tigar_x.multipatch import MultiPatch
+from tigar_x.multipatch import MultiPatch, as_multipatch
 from tigar_x.patch import ControlNet, Patch
-from tigar_x.solve import SplineSystem, solve_linear
-from tigar_x.space import SplineSpace
+from tigar_x.space import SplineSpace, extracted_matrix
 
 
 class SplineMeasure:
@@ -134,7 +134,8 @@ class ExtractedSpline:
         sizes = compat.create_vector(cells)
         compat.assemble_vector(sizes, form)
         worst = np.nan_to_num(sizes.array_r, nan=0.0).min(initial=np.inf)
-        rounding = 1e-14 * np.abs(self.geometry.points).max() ** self.dim
+        points = self.geometry.points
+        rounding = 1e-14 * np.abs(points).max() * np.ptp(points, axis=0).max() ** (self.dim - 1)
         if not self.mesh.comm.allreduce(worst, op=MPI.MIN) > rounding:
             raise ValueError("geometry has an element of zero length or area: distinct control points are required")
 
@@ -218,10 +219,19 @@ class ExtractedSpline:
 
         Returns:
             Values, shape (m, components), on every rank.
+
+        Raises:
+            ValueError: there is no such patch, or a parameter lies outside of it.
         """
         functions = self.geometry.functions
-        x = checks.array("xi", xi, (None, self.dim))
-        N = functions.evaluate(functions.to_plane(patch, x))
+        checks.choice("patch", patch, tuple(range(len(functions.boxes))))
+        x = functions.to_plane(patch, checks.array("xi", xi, (None, self.dim)))
+        low, high = functions.boxes[patch]
+        outside = (x < low - 1e-12 * (high - low)) | (x > high + 1e-12 * (high - low))
+        if outside.any():
+            i = int(outside.any(axis=1).argmax())
+            raise ValueError(f"xi[{i}] = {np.asarray(xi)[i]}: parameters within patch {patch} are required")
+        N = functions.evaluate(x)
         size = u.function_space.dofmap.index_map_bs
         return np.asarray((N @ self.free(size).coefficients(u)) / (N @ self.geometry.weights)[:, None])
 
@@ -301,8 +311,8 @@ class ExtractedSpline:
         """Measure of sides in the physical reference configuration: of points (1), edges or faces.
 
         Args:
-            sides: names, such as "u0"; none: all sides of all patches.
-            patch: whose sides; None: those of that name of all patches.
+            sides: names, such as "u0"; none: the boundary, which is all sides that are not glued to another one.
+            patch: whose sides; None: those of all patches.
 
         Returns:
             The measure.
@@ -310,11 +320,18 @@ class ExtractedSpline:
         Raises:
             ValueError: there is no such side or patch.
         """
-        places = self.geometry.locate_sides(sides, patch)
-        tags = tuple(1 + 2 * (self.dim * k + direction) + end for k, direction, end in places)
+        tags = tuple(1 + 2 * (self.dim * k + direction) + end for k, direction, end in self._places(sides, patch))
         N = ufl.FacetNormal(self.mesh)
-        stretch = ufl.sqrt(ufl.det(self.metric) * ufl.dot(N, self.inverse_metric * N)) if self.dim > 1 else 1.0
+        # det(g) N . g^-1 N, which a collapsed side has as well
+        stretch = ufl.sqrt(abs(ufl.dot(N, ufl.cofac(self.metric) * N))) if self.dim > 1 else 1.0
         return SideMeasure(stretch, self._ds(tags), N)
+
+    def _places(self, sides: Sequence[str], patch: int | None) -> list[tuple[int, int, int]]:
+        """Sides by name; none: those that make the boundary."""
+        if sides or not isinstance(self.geometry, Patch | MultiPatch):
+            return self.geometry.locate_sides(sides, patch)
+        whole = as_multipatch(self.geometry)
+        return [place for place in whole.outer_sides if patch is None or place[0] == whole.checked(patch)]
 
     @property
     def side_normal(self) -> Any:
@@ -349,26 +366,47 @@ class ExtractedSpline:
 
         Args:
             f: UFL expression over the parametric mesh, scalar or a vector.
-            sides: names; none: all sides.
+            sides: names; none: the boundary, see :meth:`ds`.
             patch: whose sides; None: those of all patches.
 
         Returns:
             Homogeneous field.
         """
-        size = _size(f)
-        ds = self.ds(*sides, patch=patch)
-        places = self.geometry.locate_sides(sides, patch)
-        on_sides = np.concatenate([self.geometry.side_functions(*place) for place in places])
-        inner = np.setdiff1d(np.arange(self.geometry.n), on_sides)
-        space = self.space(size, zero_dofs=(inner[:, None] * size + np.arange(size)).ravel())
-        return self._fit(space, f, ds)
+        space, ds = self.free(_size(f)), self.ds(*sides, patch=patch)
+        places = self._places(sides, patch)
+        functions = np.unique(np.concatenate([self.geometry.side_functions(*place) for place in places]))
+        size = space.parts[0][1]
+        first, last = space.M.getOwnershipRangeColumn()
+        dofs = (functions[:, None] * size + np.arange(size)).ravel()
+        here = dofs[(dofs >= first) & (dofs < last)]
+        return self._fit(space, f, ds, here)
 
-    def _fit(self, space: SplineSpace, f: Any, measure: SplineMeasure) -> fem.Function:
+    def _fit(self, space: SplineSpace, f: Any, measure: SplineMeasure, dofs: IntArray | None = None) -> fem.Function:
+        """Least squares fit of some of this rank's coefficients; None: all but the zero dofs."""
         u, v = ufl.TrialFunction(space.V), ufl.TestFunction(space.V)
-        mass = ufl.inner(self.rationalize(u), self.rationalize(v)) * measure
+        first, last = space.M.getOwnershipRangeColumn()
+        free = np.setdiff1d(np.arange(first, last), space.zero_dofs) if dofs is None else dofs
+        mass, load = compat.compile_forms(
+            ufl.inner(self.rationalize(u), self.rationalize(v)) * measure,
+            ufl.inner(f, self.rationalize(v)) * measure,
+        )
+        b, right = compat.create_vector(space.V), space.M.createVecRight()
+        compat.assemble_vector(b, load)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        space.M.multTranspose(b, right)
+        A = extracted_matrix(space, mass, free)
+        known, fitted = A.createVecs()
+        known.array_w[:] = right.array_r[free - first]
+        solver = PreparedSolver(direct(), A)
+        solver.solve(known, fitted)
+        right.set(0.0)
+        right.array_w[free - first] = fitted.array_r
         result = fem.Function(space.V)
-        load = -(ufl.inner(f, self.rationalize(v)) * measure)
-        solve_linear(SplineSystem(space, load, mass, unknown=result))
+        space.M.mult(right, compat.petsc_vector(result))
+        result.x.scatter_forward()
+        solver.destroy()
+        for finished in (A, b, right, known, fitted):
+            finished.destroy()
         return result
 
     @cached_property
