@@ -51,15 +51,35 @@ def midsurface(spline: ExtractedSpline, y: Any = None) -> Midsurface:
         )
     x = spline.F if y is None else spline.F + y
     a = spline.parametric_grad(x)
-    if m == 1:
-        normal = ufl.as_vector([a[1, 0], -a[0, 0]]) / ufl.sqrt(a[0, 0] ** 2 + a[1, 0] ** 2)
-    else:
-        cross = ufl.cross(a[:, 0], a[:, 1])
-        normal = cross / ufl.sqrt(ufl.dot(cross, cross))
+    n = area_vector(a)
+    normal = n / ufl.sqrt(ufl.dot(n, n))
     second = spline.parametric_grad(a)
     i, al, be = ufl.indices(3)
     curvature = ufl.as_tensor(second[i, al, be] * normal[i], (al, be))
     return Midsurface(x, a, normal, a.T * a, curvature)
+
+
+def area_vector(tangents: Any) -> Any:
+    """Normal a_3 times the area (in the plane: length) per parametric one.
+
+    Args:
+        tangents: a_alpha as columns, shape (nsd, m).
+
+    Returns:
+        a_1 x a_2 for a surface, a_1 x e_3 for a curve, shape (nsd,).
+    """
+    if tangents.ufl_shape == (2, 1):
+        return ufl.as_vector([tangents[1, 0], -tangents[0, 0]])
+    return ufl.cross(tangents[:, 0], tangents[:, 1])
+
+
+def layer_metric(surface: Midsurface, zeta: Any) -> Any:
+    """Metric a - 2 zeta b at the distance zeta from the midsurface along a_3, shape (m, m).
+
+    Its terms of second order in zeta are left out, so it is one of a surface only as long as zeta is less than half of
+    every radius of curvature.
+    """
+    return surface.metric - 2 * zeta * surface.curvature
 
 
 def membrane_strain(reference: Midsurface, current: Midsurface) -> Any:
@@ -72,10 +92,34 @@ def curvature_change(reference: Midsurface, current: Midsurface) -> Any:
     return reference.curvature - current.curvature
 
 
+def frame(metric: Any) -> Any:
+    """Components e_i . a_alpha of base vectors in their Cartesian frame.
+
+    The frame is e_1 = a_1/|a_1| and e_2 from a_2 by Gram-Schmidt. For a curve e_1 alone remains.
+
+    Args:
+        metric: a_{alpha beta}, shape (m, m).
+
+    Returns:
+        Upper triangular matrix R with R^T R = a, row i and column alpha, shape (m, m).
+    """
+    first = ufl.sqrt(metric[0, 0])
+    if metric.ufl_shape == (1, 1):
+        return ufl.as_matrix([[first]])
+    second = ufl.sqrt(metric[1, 1] - metric[0, 1] ** 2 / metric[0, 0])
+    return ufl.as_matrix([[first, metric[0, 1] / first], [0, second]])
+
+
+def dual_frame(metric: Any) -> Any:
+    """Components e_i . a^alpha of the dual base vectors in the same frame: the inverse transpose of :func:`frame`."""
+    R = frame(metric)
+    if metric.ufl_shape == (1, 1):
+        return ufl.as_matrix([[1 / R[0, 0]]])
+    return ufl.as_matrix([[1 / R[0, 0], 0], [-R[0, 1] / (R[0, 0] * R[1, 1]), 1 / R[1, 1]]])
+
+
 def local_voigt(reference: Midsurface, strain: Any) -> Any:
     """Covariant strain in the local Cartesian frame of the reference configuration, in Voigt notation.
-
-    The frame is e_1 = A_1/|A_1| and e_2 from A_2 by Gram-Schmidt. For a curve e_1 alone remains.
 
     Args:
         reference: reference configuration.
@@ -87,9 +131,6 @@ def local_voigt(reference: Midsurface, strain: Any) -> Any:
     A = reference.metric
     if A.ufl_shape == (1, 1):
         return ufl.as_vector([strain[0, 0] / A[0, 0]])
-    # e_i . A^alpha for Gram-Schmidt frames, in terms of the metric alone: lower triangular inverse of Q_{i alpha}
-    l_1 = ufl.sqrt(A[0, 0])
-    l_2 = ufl.sqrt(A[1, 1] - A[0, 1] ** 2 / A[0, 0])
-    Q = ufl.as_matrix([[1 / l_1, 0], [-A[0, 1] / (A[0, 0] * l_2), 1 / l_2]])
+    Q = dual_frame(A)
     T = Q * strain * Q.T
     return ufl.as_vector([T[0, 0], T[1, 1], 2 * T[0, 1]])

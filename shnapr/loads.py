@@ -1,10 +1,27 @@
-"""Inertia and loads of a shell: terms of the residual."""
+"""Inertia, damping and loads of a shell: terms of the residual.
 
-from typing import Any
+Displacements, rates and test functions are homogeneous fields; forces, pressures and moments are physical. Parameters
+are numbers, Constants or UFL expressions over the parametric mesh.
+"""
+
+from typing import Any, Protocol
 
 import ufl
 
+from shnapr.kinematics import area_vector, midsurface
+from tigar_x import checks
 from tigar_x.spline import ExtractedSpline
+
+
+class EdgeMeasure(Protocol):
+    """Integration over edges of the reference configuration, such as ``spline.ds("u1")``."""
+
+    @property
+    def normal(self) -> Any:
+        """Outward normal of the parametric domain, shape (m,)."""
+
+    def __rmul__(self, integrand: Any) -> ufl.Form:
+        """Form of an integrand."""
 
 
 def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any, thickness: Any) -> ufl.Form:
@@ -24,6 +41,29 @@ def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any,
     return density * thickness * ufl.inner(R(acceleration), R(z)) * spline.dx
 
 
+def mass_damping(
+    spline: ExtractedSpline, velocity: Any, z: Any, *, coefficient: Any, density: Any, thickness: Any
+) -> ufl.Form:
+    """Virtual work of damping in proportion to mass, ``int c rho_s h y' . z``.
+
+    Args:
+        spline: the midsurface.
+        velocity: homogeneous rate of the displacement, shape (nsd,); unit: length/time.
+        z: test function in ``spline.V``.
+        coefficient: c >= 0; unit: 1/time.
+        density: rho_s; unit: mass/volume.
+        thickness: h; unit: length.
+
+    Returns:
+        Residual form.
+
+    Raises:
+        ValueError: the coefficient is out of range.
+    """
+    checks.parameter("coefficient", coefficient, checks.not_negative)
+    return inertia(spline, coefficient * velocity, z, density=density, thickness=thickness)
+
+
 def dead_load(spline: ExtractedSpline, force: Any, z: Any) -> ufl.Form:
     """Virtual work of a dead load, ``-int f . z`` over the reference area.
 
@@ -34,5 +74,104 @@ def dead_load(spline: ExtractedSpline, force: Any, z: Any) -> ufl.Form:
 
     Returns:
         Residual form.
+
+    Raises:
+        ValueError: the force has another shape.
     """
-    return -ufl.inner(force, spline.rationalize(z)) * spline.dx
+    return -ufl.inner(_vector("force", force, spline.nsd), spline.rationalize(z)) * spline.dx
+
+
+def gravity(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any, thickness: Any) -> ufl.Form:
+    """Virtual work of the weight, ``-int rho_s h g . z``.
+
+    Args:
+        spline: the midsurface.
+        acceleration: g, shape (nsd,); unit: length/time^2.
+        z: test function in ``spline.V``.
+        density: rho_s; unit: mass/volume.
+        thickness: h; unit: length.
+
+    Returns:
+        Residual form.
+
+    Raises:
+        ValueError: the acceleration has another shape.
+    """
+    return dead_load(spline, density * thickness * _vector("acceleration", acceleration, spline.nsd), z)
+
+
+def follower_pressure(spline: ExtractedSpline, pressure: Any, y: Any, z: Any) -> ufl.Form:
+    """Virtual work of a pressure that acts along the current normal on the current area, ``-int P a_3 . z da``.
+
+    Args:
+        spline: the midsurface.
+        pressure: P, positive along a_3; unit: force/length^2.
+        y: homogeneous displacement, shape (nsd,).
+        z: test function in ``spline.V``.
+
+    Returns:
+        Residual form.
+
+    Raises:
+        ValueError: the pressure is not finite.
+    """
+    checks.parameter("pressure", pressure, checks.finite)
+    R = spline.rationalize
+    area = area_vector(midsurface(spline, R(y)).tangents) / spline.dx.jacobian
+    return -pressure * ufl.dot(area, R(z)) * spline.dx
+
+
+def edge_traction(spline: ExtractedSpline, traction: Any, z: Any, ds: EdgeMeasure) -> ufl.Form:
+    """Virtual work of a dead force on edges, ``-int t . z ds``.
+
+    Args:
+        spline: the midsurface.
+        traction: force per reference length of the edge (in the plane: at the point, per depth), shape (nsd,).
+        z: test function in ``spline.V``.
+        ds: measure of the edges.
+
+    Returns:
+        Residual form.
+
+    Raises:
+        ValueError: the traction has another shape.
+    """
+    return -ufl.inner(_vector("traction", traction, spline.nsd), spline.rationalize(z)) * ds
+
+
+def edge_moment(spline: ExtractedSpline, moment: Any, y: Any, z: Any, ds: EdgeMeasure) -> ufl.Form:
+    """Virtual work of a moment about the current tangent of edges, ``-int M a_3 . dz/dnu ds``.
+
+    With the parametric normal N the outward conormal has the components ``nu^alpha = a^{alpha beta} N_beta /
+    sqrt(N . a^-1 N)``, and ``a_3 . dz/dnu`` is the angle by which the edge turns: positive M turns the outward conormal
+    towards +a_3. It follows the edge, so its tangent is symmetric only where the edge keeps its direction.
+
+    Args:
+        spline: the midsurface.
+        moment: M per reference length of the edge (in the plane: at the point, per depth); unit: force.
+        y: homogeneous displacement, shape (nsd,).
+        z: test function in ``spline.V``.
+        ds: measure of the edges.
+
+    Returns:
+        Residual form.
+
+    Raises:
+        ValueError: the moment is not finite.
+    """
+    checks.parameter("moment", moment, checks.finite)
+    current = midsurface(spline, spline.rationalize(y))
+    raised = ufl.inv(current.metric) * ds.normal
+    conormal = raised / ufl.sqrt(ufl.dot(ds.normal, raised))
+    slope = spline.parametric_grad(spline.rationalize(z)) * conormal
+    return -moment * ufl.dot(current.normal, slope) * ds
+
+
+def _vector(name: str, value: Any, size: int) -> Any:
+    """A vector from a sequence, a Constant or a UFL expression."""
+    if not hasattr(value, "ufl_shape"):
+        checks.entries(name, value)
+        value = ufl.as_vector(list(value))
+    if value.ufl_shape != (size,):
+        raise ValueError(f"{name} has shape {value.ufl_shape}: shape ({size},) is required")
+    return value

@@ -1,14 +1,15 @@
-"""St. Venant-Kirchhoff shell: strain energy and virtual work (Kiendl et al., doi:10.1016/j.cma.2009.08.013)."""
+"""St. Venant-Kirchhoff material of a thin shell (Kiendl et al., doi:10.1016/j.cma.2009.08.013)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import ufl
 
-from shnapr.kinematics import Midsurface, curvature_change, local_voigt, membrane_strain, midsurface
+from shnapr.kinematics import Midsurface, curvature_change, local_voigt, membrane_strain
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks
-from tigar_x.spline import ExtractedSpline
+
+__all__ = ["StVenantKirchhoff", "strain_energy", "virtual_work"]
 
 
 @dataclass(frozen=True)
@@ -85,43 +86,64 @@ class StVenantKirchhoff:
                 W += ufl.dot(_resultant("bending_prestress", self.bending_prestress, len(eps)), kap)
         return W
 
+    def strain(self, reference: Midsurface, current: Midsurface, zeta: Any) -> Any:
+        """Green strain eps + zeta kappa in the local Cartesian frame of the reference midsurface.
+
+        Args:
+            reference: reference configuration.
+            current: current configuration.
+            zeta: distance from the midsurface along A_3; unit: length.
+
+        Returns:
+            Strain in the tangent plane, shape (2, 2); of a curve, direction 2 is the generator, without strain.
+        """
+        covariant = membrane_strain(reference, current)
+        if self.bending:
+            covariant += zeta * curvature_change(reference, current)
+        e = local_voigt(reference, covariant)
+        if len(e) == 1:
+            return ufl.as_matrix([[e[0], 0], [0, 0]])
+        return ufl.as_matrix([[e[0], e[2] / 2], [e[2] / 2, e[1]]])
+
+    def second_piola(self, strain: Any, zeta: Any) -> Any:
+        """Plane stress that belongs to a strain, ``D E + N_0/h + 12 zeta M_0/h^3``.
+
+        Args:
+            strain: E from :meth:`strain`, shape (2, 2).
+            zeta: distance from the midsurface along A_3; unit: length.
+
+        Returns:
+            S in the frame of the strain, shape (2, 2); unit: force/length^2.
+        """
+        S = self.plane_stress(3) * ufl.as_vector([strain[0, 0], strain[1, 1], strain[0, 1] + strain[1, 0]])
+        h = self.thickness
+        for name, factor in (("prestress", 1 / h), ("bending_prestress", 12 * zeta / h**3)):
+            value = getattr(self, name)
+            if value is not None:
+                S += factor * _padded(value)
+        return ufl.as_matrix([[S[0], S[2]], [S[2], S[1]]])
+
+    def squared_normal_stretch(self, strain: Any) -> Any:
+        """``C_33 = 1 - 2 nu/(1 - nu) (E_11 + E_22)``, for which the stress along the normal is zero.
+
+        Args:
+            strain: E from :meth:`strain`, shape (2, 2).
+
+        Returns:
+            UFL scalar; negative at strains that are beyond this material.
+        """
+        nu = self.poisson_ratio
+        return 1 - 2 * nu / (1 - nu) * ufl.tr(strain)
+
+
+def _padded(resultant: Any) -> Any:
+    """A prestress in Voigt notation for two directions; along the generator of a curve there is none."""
+    vector = resultant if hasattr(resultant, "ufl_shape") else ufl.as_vector(list(resultant))
+    return vector if len(vector) == 3 else ufl.as_vector([vector[0], 0, 0])
+
 
 def _resultant(name: str, value: Any, strains: int) -> Any:
     vector = value if hasattr(value, "ufl_shape") else ufl.as_vector(list(value))
     if vector.ufl_shape != (strains,):
         raise ValueError(f"{name} has shape {vector.ufl_shape}: shape ({strains},) is required")
     return vector
-
-
-def strain_energy(spline: ExtractedSpline, material: StVenantKirchhoff, y: Any) -> ufl.Form:
-    """Elastic energy of the displaced shell.
-
-    Args:
-        spline: the midsurface.
-        material: the material.
-        y: homogeneous displacement y^h, shape (nsd,); unit: length.
-
-    Returns:
-        Functional; unit: energy (per depth in the plane).
-    """
-    current = midsurface(spline, spline.rationalize(y))
-    return material.energy_density(midsurface(spline), current) * spline.dx
-
-
-def virtual_work(spline: ExtractedSpline, energy: Callable[[Any], ufl.Form], y: Any, z: Any) -> ufl.Form:
-    """Virtual work of an energy at any displacement, such as the intermediate one of a time step.
-
-    The energy is differentiated at a placeholder that is then replaced by ``y``; nothing of how ``y`` depends on the
-    unknown (factors alpha_f) enters.
-
-    Args:
-        spline: the midsurface.
-        energy: maps a displacement to the energy.
-        y: homogeneous displacement, an expression of shape (nsd,).
-        z: test function in ``spline.V``.
-
-    Returns:
-        Residual form dW(y)[z].
-    """
-    placeholder = ufl.Coefficient(spline.V)
-    return ufl.replace(ufl.derivative(energy(placeholder), placeholder, z), {placeholder: y})
