@@ -248,11 +248,27 @@ class SplineSystem:
             pairs: finite element matrix of forces between any nodes, such as contact, over the dofs (node * nsd +
                 component) of a spline that lives on one rank.
         """
+        self.integrate_tangent(diagonal)
+        self.extract_tangent(pairs)
+
+    def integrate_tangent(self, diagonal: FloatArray | None = None) -> None:
+        """First half of :meth:`assemble_tangent`: the finite element matrix.
+
+        Args:
+            diagonal: see there.
+        """
         compat.assemble_matrix(self._A_fe, self._tangent)
         self._A_fe.assemble()
         if diagonal is not None:
             self._diagonal.array_w[:] = diagonal.ravel()
             self._A_fe.setDiagonal(self._diagonal, PETSc.InsertMode.ADD_VALUES)
+
+    def extract_tangent(self, pairs: sp.spmatrix | None = None) -> None:
+        """Second half of :meth:`assemble_tangent`: ``M^T A M`` of that matrix, constrained.
+
+        Args:
+            pairs: see there.
+        """
         if self._own is None:
             self._A_fe_M = self._A_fe.matMult(self.space.M)
             self._own = self._M_T.matMult(self._A_fe_M)
