@@ -6,7 +6,7 @@ import numpy as np
 from mpi4py import MPI
 
 from tigar_x import compat, shapes
-from tigar_x.bspline import BSplineBasis, open_knots
+from tigar_x.bspline import BSplineBasis, open_knots, periodic_knots
 from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
 
@@ -28,6 +28,40 @@ def quarter(rows=None):
         [np.column_stack([scale * x, *([np.full(len(x), z)] * (z is not None))]) for scale, z in rows]
     )
     return Patch.from_points(bases, points, np.tile(weight, len(rows)))
+
+
+def turned(basis, r, z=None, weights=None, *, quarters=1, closed=False):
+    """Curve (r, z) turned about the third axis in rational quadratics, u along the circle; without z in the plane."""
+    angle, w = np.pi / 4 * np.arange(2 * quarters + 1), np.tile([1.0, np.sqrt(0.5)], quarters + 1)[:-1]
+    x = np.stack([np.cos(angle), np.sin(angle)], axis=1) / w[:, None]
+    ticks = np.arange(quarters + 1.0)
+    if closed:  # the first function of the periodic basis is the bubble of the first arc
+        circle = BSplineBasis(2, periodic_knots(2, ticks, 0), periodic=True)
+        x, w = x[1:], w[1:]
+    else:
+        circle = BSplineBasis(2, open_knots(2, ticks, 0))
+    r, weights = np.asarray(r, dtype=float), np.ones(len(r)) if weights is None else np.asarray(weights)
+    points = (r[:, None, None] * x).reshape(-1, 2)
+    if z is not None:
+        points = np.column_stack([points, np.repeat(z, len(x))])
+    return Patch.from_points([circle, basis], points, np.outer(weights, w).ravel())
+
+
+def radial(degree, elements):
+    """Uniform basis over [0, 1], and its Greville points as radii of a disc."""
+    basis = BSplineBasis(degree, open_knots(degree, np.linspace(0.0, 1.0, elements + 1)))
+    return basis, basis.greville
+
+
+def half_disc(elements=2, degree=2):
+    """Half of the unit disc with a pole at its centre, v along the radius."""
+    return turned(*radial(degree, elements), quarters=2)
+
+
+def rectangle(x, y, elements=(2, 2), degrees=(2, 2)):
+    """[x_0, x_1] x [y_0, y_1] in the plane."""
+    edges = (x[1] - x[0], 0.0), (0.0, y[1] - y[0])
+    return shapes.parallelogram((x[0], y[0]), *edges, elements=elements, degrees=degrees)
 
 
 PATCHES = {

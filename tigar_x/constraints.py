@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.multipatch import MultiPatch
+from tigar_x.multipatch import MultiPatch, as_multipatch, side_name
 from tigar_x.patch import Patch
 
 ROUNDING = 1e-12
-"""Entries below this, relative to the largest of their row, are zero."""
+"""Entries below this, relative to the largest that went into their row, are zero."""
+STRAIGHT = 1e-8
+"""Departures from a plane or a direction below this, relative to the size of the model, are none."""
 
 
 def tied(dofs: ArrayLike, to: ArrayLike, n: int, factor: ArrayLike = 1.0) -> sp.csr_matrix:
@@ -36,7 +38,7 @@ def tied(dofs: ArrayLike, to: ArrayLike, n: int, factor: ArrayLike = 1.0) -> sp.
     return sp.csr_matrix((entries, (np.tile(np.arange(len(a)), 2), np.concatenate([a, b]))), shape=(len(a), n))
 
 
-def symmetry(patch: Patch, side: str, normal: int) -> sp.csr_matrix:
+def symmetry(geometry: Patch | MultiPatch, side: str, normal: int, *, patch: int | None = None) -> sp.csr_matrix:
     """Symmetry of a shell's displacement about a coordinate plane that its edge lies in.
 
     The displacement along the normal of the plane vanishes at the edge, and the other components have no slope across
@@ -44,9 +46,10 @@ def symmetry(patch: Patch, side: str, normal: int) -> sp.csr_matrix:
     angles, as those of a symmetric shape do.
 
     Args:
-        patch: curve or surface.
+        geometry: curve or surface, of one or several patches.
         side: name of the edge.
         normal: axis normal to the plane.
+        patch: whose edge; None: those of that name of all patches.
 
     Returns:
         G, shape (constraints, n nsd).
@@ -55,67 +58,66 @@ def symmetry(patch: Patch, side: str, normal: int) -> sp.csr_matrix:
         ValueError: no such side or axis, the edge does not lie in such a plane, or the coordinate lines leave it at
             another angle.
     """
-    checks.choice("normal", normal, tuple(range(patch.nsd)))
-    edge, next_row = _rows(patch, side)
-    x0, x1 = patch.points[edge], patch.points[next_row]
-    size = np.ptp(patch.points, axis=0).max()
-    if np.ptp(x0[:, normal]) > 1e-8 * size:
-        raise ValueError(f"side = {side!r} does not lie in a plane normal to axis {normal}")
-    step = np.delete(x1 - x0, normal, axis=1)
-    if np.abs(step).max() > 1e-8 * size or np.ptp(patch.weights[edge] / patch.weights[next_row]) > 1e-8:
-        raise ValueError(f"side = {side!r}: coordinate lines must leave it along axis {normal}, the plane's normal")
-    n, ratio = patch.n * patch.nsd, patch.weights[next_row] / patch.weights[edge]
-    still = edge * patch.nsd + normal
-    blocks = [sp.csr_matrix((np.ones(len(still)), (np.arange(len(still)), still)), shape=(len(still), n))]
-    for c in range(patch.nsd):
-        if c != normal:
-            blocks.append(tied(next_row * patch.nsd + c, edge * patch.nsd + c, n, ratio))
+    checks.choice("normal", normal, tuple(range(geometry.nsd)))
+    whole = as_multipatch(geometry)
+    blocks = [_mirror(whole, place, side, normal) for place in whole.locate_sides([side], patch)]
     return sp.vstack(blocks, format="csr")
 
 
-def _rows(patch: Patch, side: str) -> tuple[IntArray, IntArray]:
-    """First and second row of functions next to a side, in the same order."""
-    direction, end = patch.locate_side(side)
-    grid = np.arange(patch.n).reshape([basis.n for basis in patch.bases], order="F")
-    first, second = (0, 1) if end == 0 else (-1, -2)
-    edge, next_row = (np.take(grid, row, axis=direction).ravel().astype(np.int32) for row in (first, second))
-    return edge, next_row
+def _mirror(geometry: MultiPatch, place: tuple[int, int, int], side: str, normal: int) -> sp.csr_matrix:
+    """Symmetry at one side."""
+    (edge, next_row), nsd = _rows(geometry, place), geometry.nsd
+    x0, x1 = geometry.points[edge], geometry.points[next_row]
+    if np.ptp(x0[:, normal]) > STRAIGHT * geometry.size:
+        raise ValueError(f"side = {side!r} does not lie in a plane normal to axis {normal}")
+    step, ratio = np.delete(x1 - x0, normal, axis=1), geometry.weights[next_row] / geometry.weights[edge]
+    if np.abs(step).max(initial=0.0) > STRAIGHT * geometry.size or np.ptp(ratio) > STRAIGHT:
+        raise ValueError(f"side = {side!r}: coordinate lines must leave it along axis {normal}, the plane's normal")
+    n, still = geometry.n * nsd, edge * nsd + normal
+    blocks = [sp.csr_matrix((np.ones(len(still)), (np.arange(len(still)), still)), shape=(len(still), n))]
+    blocks += [tied(next_row * nsd + c, edge * nsd + c, n, ratio) for c in range(nsd) if c != normal]
+    return sp.vstack(blocks)
 
 
-def smooth_joints(geometry: MultiPatch, tolerance: float = 1e-6) -> sp.csr_matrix:
-    """C1 joints of glued patches: the rows of control points on both sides stay collinear with the joint's.
+def _rows(geometry: MultiPatch, place: tuple[int, int, int]) -> tuple[IntArray, IntArray]:
+    """First and second row of functions next to a side (patch, direction, end), in the same order."""
+    k, direction, end = place
+    bases = geometry.patches[k].bases
+    grid = np.arange(geometry.patches[k].n).reshape([basis.n for basis in bases], order="F")
+    first, second = (np.take(grid, row, axis=direction).ravel() for row in ((0, 1) if end == 0 else (-1, -2)))
+    number = geometry.functions.global_numbers
+    return number(k, first), number(k, second)
 
-    The homogeneous control points must satisfy ``P_joint = (s P_+ + P_-)/(s + 1)`` with one ratio s along the joint;
-    the displacements are then made to do the same, which keeps the surface's tangent plane continuous.
+
+def smooth_joints(geometry: MultiPatch, size: int | None = None, *, tolerance: float = 1e-6) -> sp.csr_matrix:
+    """C1 joints of glued sides: the rows of control points on both sides stay collinear with the joint's.
+
+    The homogeneous control points must satisfy ``P_joint = (s P_+/a + P_-/b)/(s + 1)`` with one ratio s along the
+    joint; the displacements are then made to do the same, which keeps the surface's tangent plane continuous. Here a
+    and b are the weights of the two rows over those of the joint, as between arcs of a circle, or 1 where they vary.
 
     Args:
         geometry: glued patches (:func:`tigar_x.multipatch.glued`).
+        size: number of components of the field; None: ``nsd``.
         tolerance: allowed departure of the geometry from collinearity, relative to its size.
 
     Returns:
-        G, shape (constraints, n nsd).
+        G, shape (constraints, n size).
 
     Raises:
-        ValueError: the patches share no side, or meet at an angle.
+        ValueError: no side is shared, or patches meet at an angle.
     """
-    numbered = [(k, name) for k, patch in enumerate(geometry.patches) for name in patch.open_sides]
-    rows = {key: _global_rows(geometry, *key) for key in numbered}
-    blocks: list[sp.csr_matrix] = []
-    for i, one in enumerate(numbered):
-        for other in numbered[:i]:
-            if one[0] == other[0] or set(rows[one][0]) != set(rows[other][0]):
-                continue
-            blocks.append(_joint(geometry, rows[one], rows[other], f"sides {other} and {one}", tolerance))
+    sides = [side for side in geometry.open_sides if not geometry.collapsed(*side)]
+    rows = [_rows(geometry, side) for side in sides]
+    blocks = [
+        _joint(geometry, rows[i], rows[j], f"{side_name(*sides[j])} and {side_name(*sides[i])}", tolerance)
+        for i in range(len(rows))
+        for j in range(i)
+        if np.array_equal(np.unique(rows[i][0]), np.unique(rows[j][0]))
+    ]
     if not blocks:
         raise ValueError("geometry has no side that two patches share: glue patches at coincident control points first")
-    scalar = sp.vstack(blocks, format="csr")
-    return sp.kron(scalar, sp.identity(geometry.nsd), format="csr")
-
-
-def _global_rows(geometry: MultiPatch, k: int, name: str) -> tuple[IntArray, IntArray]:
-    first, second = _rows(geometry.patches[k], name)
-    number = geometry.functions.global_numbers
-    return number(k, first), number(k, second)
+    return sp.kron(sp.vstack(blocks), sp.identity(geometry.nsd if size is None else size), format="csr")
 
 
 def _joint(
@@ -125,16 +127,25 @@ def _joint(
     order = {function: i for i, function in enumerate(other[0])}
     match = np.array([order[function] for function in one[0]])
     joint, plus, minus = one[0], one[1], other[1][match]
-    P = geometry.control
-    forward, backward = P[plus] - P[joint], P[joint] - P[minus]
+    alpha, beta = _weight_ratios(geometry, joint, plus, minus)
+    P = geometry.relative_control
+    forward, backward = P[plus] / alpha - P[joint], P[joint] - P[minus] / beta
     ratio = float((forward * backward).sum() / (forward**2).sum())
-    size = np.ptp(geometry.points, axis=0).max()
-    if ratio <= 0.0 or np.abs(ratio * forward - backward).max() > tolerance * size:
+    if ratio <= 0.0 or np.abs(ratio * forward - backward).max() > tolerance:
         raise ValueError(f"{pair} meet at an angle: control points that are collinear across the joint are required")
     i = np.arange(len(joint))
-    entries = np.concatenate([np.full(len(i), ratio), np.ones(len(i)), np.full(len(i), -1.0 - ratio)])
+    entries = np.repeat([ratio / alpha, 1.0 / beta, -1.0 - ratio], len(i))
     columns = np.concatenate([plus, minus, joint])
     return sp.csr_matrix((entries, (np.tile(i, 3), columns)), shape=(len(i), geometry.n))
+
+
+def _weight_ratios(geometry: MultiPatch, joint: IntArray, plus: IntArray, minus: IntArray) -> tuple[float, float]:
+    """Weights of two rows over those of the joint where these ratios are constant, else 1."""
+    w = geometry.weights
+    ratios = w[plus] / w[joint], w[minus] / w[joint]
+    if any(np.ptp(ratio) > STRAIGHT for ratio in ratios):
+        return 1.0, 1.0
+    return float(ratios[0].mean()), float(ratios[1].mean())
 
 
 def null_space(constraints: Sequence[sp.spmatrix], fixed: IntArray, n: int) -> sp.csr_matrix:
@@ -161,12 +172,13 @@ def null_space(constraints: Sequence[sp.spmatrix], fixed: IntArray, n: int) -> s
     users: dict[int, set[int]] = {}
     for start, stop in zip(G.indptr[:-1], G.indptr[1:], strict=True):
         row: dict[int, float] = {}
+        largest = 0.0
         for j, value in zip(G.indices[start:stop].tolist(), G.data[start:stop].tolist(), strict=True):
             for k, factor in solved.get(j, {j: 1.0}).items():
                 row[k] = row.get(k, 0.0) + value * factor
-        scale = max(map(abs, row.values()), default=0.0)
-        row = {k: v for k, v in row.items() if abs(v) > ROUNDING * scale}
-        if scale <= ROUNDING * np.abs(G.data[start:stop]).max(initial=0.0) or not row:
+                largest = max(largest, abs(value * factor))
+        row = {k: v for k, v in row.items() if abs(v) > ROUNDING * largest}
+        if not row:
             continue
         pivot = max(row, key=lambda k: (abs(row[k]), -k))
         own = row.pop(pivot)

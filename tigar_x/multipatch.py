@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,10 +14,16 @@ from scipy.spatial import cKDTree
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.functions import SplineFunctions
+from tigar_x.locate import closest_points
 from tigar_x.patch import ControlNet, Patch
 
 TOLERANCE = 1e-8
 """Control points closer than this, relative to the model's size, are one."""
+SAME_FUNCTION = 1e-6
+"""Functions that differ by less along a joint are the same."""
+ALL = slice(None)
+INSIDE = np.array([0.13, 0.42, 0.77])
+"""Where a Bezier element of a side is compared with other sides; not at points that are likely to be special."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +62,37 @@ class MultiPatch(ControlNet):
         if self.numbering is None:
             return raw
         return raw[np.unique(self.numbering, return_index=True)[1]]
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the box around the control points; unit: length."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @cached_property
+    def relative_control(self) -> FloatArray:
+        """Homogeneous control points about their middle, in units of the size and of the largest weight."""
+        w = self.weights / self.weights.max()
+        x = (self.points - self.points.mean(axis=0)) / max(self.size, np.finfo(float).tiny)
+        return np.column_stack([w[:, None] * x, w])
+
+    @cached_property
+    def open_sides(self) -> list[tuple[int, int, int]]:
+        """Patch, direction and end of all sides."""
+        return [(k, *patch.locate_side(name)) for k, patch in enumerate(self.patches) for name in patch.open_sides]
+
+    @cached_property
+    def outer_sides(self) -> list[tuple[int, int, int]]:
+        """Patch, direction and end of the sides that make the boundary: neither glued to a side nor collapsed."""
+        keys = [self.side_functions(*side).tobytes() for side in self.open_sides]
+        own = [side for side, key in zip(self.open_sides, keys, strict=True) if keys.count(key) == 1]
+        return [side for side in own if not self.collapsed(*side)]
+
+    def collapsed(self, patch: int, direction: int, end: int) -> bool:
+        """Whether a side has no length or area, such as a pole."""
+        own = self.patches[patch]
+        shape = [basis.n for d, basis in enumerate(own.bases) if d != direction]
+        net = own.points[own.side_functions(0, direction, end)].reshape(*shape, -1, order="F")
+        return any(np.ptp(net, axis=axis).max() <= TOLERANCE * self.size for axis in range(len(shape)))
 
     def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
         """Sides by name, see :meth:`tigar_x.patch.ControlNet.locate_sides`."""
@@ -125,10 +164,10 @@ def disjoint(*patches: Patch) -> MultiPatch:
 
 
 def glued(*patches: Patch, tolerance: float = TOLERANCE, within: bool = False) -> MultiPatch:
-    """Patches whose coincident boundary control points become one (C0), whatever their order and orientation.
+    """Patches whose coincident corners, edges and faces become one (C0), whatever their order and orientation.
 
     Functions are numbered by the position of their control points' first appearance, so the order of the patches
-    permutes numbers and nothing else. Sides that share control points must agree in degree and knots.
+    permutes numbers and nothing else.
 
     Args:
         patches: the patches.
@@ -140,67 +179,127 @@ def glued(*patches: Patch, tolerance: float = TOLERANCE, within: bool = False) -
         The geometry.
 
     Raises:
-        ValueError: no patch, patches of different dimensions, sides that share control points but not their knots, or
-            sides of which only a part is shared.
+        ValueError: no patch, patches of different dimensions, or sides that touch but do not have the same functions:
+            other control points, weights, degrees or knots, or one longer than the other.
     """
     checks.positive("tolerance", tolerance)
     apart = MultiPatch(patches)
-    boundary = [np.unique(np.concatenate([patch.side(name) for name in patch.open_sides])) for patch in patches]
-    owner = np.repeat(np.arange(len(patches)), [len(functions) for functions in boundary])
-    raw = np.concatenate([apart.functions.offsets[k] + functions for k, functions in enumerate(boundary)])
-    x = apart.control[raw]
-    size = np.linalg.norm(np.ptp(apart.points, axis=0))
-    pairs = cKDTree(x).query_pairs(tolerance * size, output_type="ndarray")
-    if not within:
-        pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
-    a, b = raw[pairs].T
-    graph = sp.coo_matrix((np.ones(len(a)), (a, b)), shape=(apart.n, apart.n))
+    groups: dict[bytes, list[tuple[int, IntArray]]] = {}
+    labels = _coincidence(apart, tolerance)
+    for k, patch in enumerate(patches):
+        for part in _boundary_parts(patch):
+            raw = apart.functions.offsets[k] + part
+            groups.setdefault(np.unique(labels[raw]).tobytes(), []).append((k, raw))
+    pairs = [np.empty((2, 0), dtype=np.int32)]
+    for members in groups.values():
+        if within or len({k for k, _ in members}) > 1:
+            raw = np.concatenate([functions for _, functions in members])
+            raw = raw[np.argsort(labels[raw], kind="stable")]
+            same = np.diff(labels[raw]) == 0
+            pairs.append(np.stack([raw[:-1][same], raw[1:][same]]))
+    geometry = MultiPatch(patches, _components(np.concatenate(pairs, axis=1), apart.n))
+    _check_sides(geometry, tolerance, within)
+    return geometry
+
+
+def _coincidence(apart: MultiPatch, tolerance: float) -> IntArray:
+    """A label for every raw function, the same where boundary control points coincide."""
+    if not apart.open_sides:
+        return np.arange(apart.n, dtype=np.int32)
+    raw = np.unique(np.concatenate([apart.side_functions(*side) for side in apart.open_sides]))
+    return _components(
+        raw[cKDTree(apart.relative_control[raw]).query_pairs(tolerance, output_type="ndarray")].T, apart.n
+    )
+
+
+def _components(pairs: IntArray, n: int) -> IntArray:
+    """Numbers from 0 without gaps, in the order of first appearance, equal for what pairs connect, shape (n,)."""
+    graph = sp.coo_matrix((np.ones(pairs.shape[1]), tuple(pairs)), shape=(n, n))
     labels = connected_components(graph, directed=False)[1]
-    numbering = np.unique(labels, return_index=True)[1].argsort().argsort()[labels].astype(np.int32)
-    _check_edges(patches, apart.functions.offsets, numbering)
-    return MultiPatch(patches, numbering)
+    return np.asarray(np.unique(labels, return_index=True)[1].argsort().argsort()[labels], dtype=np.int32)
 
 
-def _check_edges(patches: tuple[Patch, ...], offsets: IntArray, numbering: IntArray) -> None:
-    """Refuse sides that are shared in part, or whose functions are not the same."""
-    if patches[0].dim == 1:
+def _boundary_parts(patch: Patch) -> list[IntArray]:
+    """Functions of the corners, edges and faces of a patch."""
+    grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
+    ends: list[tuple[Any, ...]] = [(ALL,) if basis.periodic else (ALL, 0, -1) for basis in patch.bases]
+    return [grid[place].ravel() for place in product(*ends) if any(end is not ALL for end in place)]
+
+
+def _check_sides(geometry: MultiPatch, tolerance: float, within: bool) -> None:
+    """Refuse sides that touch along a part but do not have the same functions there."""
+    if geometry.dim == 1:
         return
-    sides = [
-        (k, name, numbering[offsets[k] + patch.side(name)])
-        for k, patch in enumerate(patches)
-        for name in patch.open_sides
-    ]
-    for i, (k, name, functions) in enumerate(sides):
-        for other, other_name, other_functions in sides[:i]:
-            if other == k:
+    sides = [_Side.of(geometry, *place) for place in geometry.open_sides]
+    slack = tolerance * geometry.size
+    for i, side in enumerate(sides):
+        for other in sides[:i]:
+            if other.patch == side.patch and not within:
                 continue
-            shared = len(np.intersect1d(functions, other_functions))
-            # opposite corners may be shared by sides that only meet there
-            if shared <= 2 ** (patches[0].dim - 1):
-                continue
-            pair = f"side {other_name!r} of patch {other} and side {name!r} of patch {k}"
-            if shared < min(len(np.unique(functions)), len(np.unique(other_functions))):
-                raise ValueError(f"{pair} share {shared} control points of {len(functions)}: all are required")
-            if not _same_knots(_edge(patches[other], other_name), _edge(patches[k], name)):
-                raise ValueError(f"{pair} share their control points: the same degrees and knots are required as well")
+            if _differ(side, other, slack, geometry) or _differ(other, side, slack, geometry):
+                raise ValueError(
+                    f"{other.name} and {side.name} touch but do not have the same functions: the same control points, "
+                    "weights, degrees and knots are required"
+                )
 
 
-def _edge(patch: Patch, name: str) -> list[tuple[int, FloatArray]]:
-    """Degree and normalised knots of the directions along a side."""
-    along = [basis for d, basis in enumerate(patch.bases) if d != patch.locate_side(name)[0]]
-    return [(b.degree, (b.knots - b.knots[0]) / (b.knots[-1] - b.knots[0])) for b in along]
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """A side of a patch as a geometry of its own.
+
+    Attributes:
+        patch: which patch it belongs to.
+        name: what messages call it.
+        shape: the side.
+        numbers: its functions among those of the whole geometry.
+        xi: samples inside its Bezier elements.
+        x: their positions.
+    """
+
+    patch: int
+    name: str
+    shape: Patch
+    numbers: IntArray
+    xi: FloatArray
+    x: FloatArray
+
+    @classmethod
+    def of(cls, geometry: MultiPatch, k: int, direction: int, end: int) -> "_Side":
+        """Side of a patch by its direction and end."""
+        own = geometry.patches[k].side_functions(0, direction, end)
+        numbers = geometry.functions.global_numbers(k, own)
+        bases = tuple(basis for d, basis in enumerate(geometry.patches[k].bases) if d != direction)
+        shape = Patch(bases, geometry.control[numbers])
+        ticks = [(b.breakpoints[:-1, None] + np.diff(b.breakpoints)[:, None] * INSIDE).ravel() for b in bases]
+        xi = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(bases))
+        return cls(k, side_name(k, direction, end), shape, numbers, xi, shape.evaluate(xi))
+
+    def functions(self, xi: FloatArray, geometry: MultiPatch) -> sp.csr_matrix:
+        """Rational functions of the geometry at parameters of the side, shape (m, n)."""
+        N = self.shape.basis.evaluate(xi)
+        N = sp.diags(1.0 / (N @ self.shape.weights)) @ N @ sp.diags(self.shape.weights)
+        place = (np.arange(len(self.numbers)), self.numbers)
+        return N @ sp.csr_matrix((np.ones(len(self.numbers)), place), shape=(len(self.numbers), geometry.n))
 
 
-def _same_knots(first: list[tuple[int, FloatArray]], second: list[tuple[int, FloatArray]]) -> bool:
-    """Whether two sides have the same functions, up to the order and the sense of their parameters."""
+def _differ(one: _Side, other: _Side, slack: float, geometry: MultiPatch) -> bool:
+    """Whether samples of one side lie on the other one where that has other functions."""
+    low, high = other.shape.points.min(axis=0) - slack, other.shape.points.max(axis=0) + slack
+    near = ((one.x >= low) & (one.x <= high)).all(axis=1)
+    if not near.any() or np.ptp(one.x, axis=0).max() <= slack:
+        return False
+    xi, x = one.xi[near], one.x[near]
+    closest = closest_points(other.shape, x)
+    touching = closest.distance <= slack
+    if not touching.any():
+        return False
+    gap = one.functions(xi[touching], geometry) - other.functions(closest.xi[touching], geometry)
+    return bool(np.abs(gap).max() > SAME_FUNCTION)
 
-    def alike(a: tuple[int, FloatArray], b: tuple[int, FloatArray]) -> bool:
-        if a[0] != b[0] or len(a[1]) != len(b[1]):
-            return False
-        return any(np.allclose(a[1], knots, rtol=0.0, atol=1e-12) for knots in (b[1], 1.0 - b[1][::-1]))
 
-    orders = [second, second[::-1]]
-    return any(all(alike(a, b) for a, b in zip(first, order, strict=True)) for order in orders)
+def side_name(patch: int, direction: int, end: int) -> str:
+    """What messages call a side."""
+    return f"side {'uvw'[direction]}{end} of patch {patch}"
 
 
 def as_multipatch(geometry: Patch | MultiPatch) -> MultiPatch:
