@@ -9,7 +9,7 @@ from functools import cached_property
 
 from petsc4py import PETSc
 
-from tigar_x import checks
+from tigar_x import checks, compat
 
 log = logging.getLogger(__name__)
 _prefixes = itertools.count()
@@ -174,6 +174,7 @@ class PreparedSolver:
             options[prefix + key] = value
         ksp.setFromOptions()
         self._pending_options = [prefix + key for key in chosen]
+        compat.freed_with(self, ksp)
         return ksp
 
     def _clear_options(self) -> None:

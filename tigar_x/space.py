@@ -111,6 +111,7 @@ class SplineSpace:
         self.constraints = sp.vstack([sp.csr_matrix((0, self.n)), *constraints], format="csr")
         self.zero_dofs = fixed if self._T is None else fixed[:0]
         self.M = petsc_matrix(self.rows, domain.comm)
+        compat.freed_with(self, self.M)
 
     @cached_property
     def rows(self) -> sp.csr_matrix:
@@ -122,8 +123,7 @@ class SplineSpace:
         """Values of the functions of a space of one part at this rank's nodes, shape (nodes, functions)."""
         if len(self.parts) > 1:
             raise ValueError("the space has several parts: their nodes differ")
-        scalar, _ = compat.component_space(self.V, 0)
-        return node_matrix(self.parts[0][0], scalar)
+        return node_matrix(self.parts[0][0], self.V)
 
     @cached_property
     def _rows(self) -> sp.csr_matrix:

@@ -15,6 +15,7 @@ from tigar_x.compat.algebra import (
     constrained_dofs,
     create_matrix,
     create_vector,
+    freed_with,
     petsc_vector,
     pin_component,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "constrained_dofs",
     "create_matrix",
     "create_vector",
+    "freed_with",
     "petsc_vector",
     "pin_component",
 ]

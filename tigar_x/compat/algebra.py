@@ -1,5 +1,6 @@
 """Vectors, matrices, assembly and strong boundary conditions."""
 
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +15,20 @@ from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import component_space, component_view
 
 _ADD = la.ScatterMode.add if VERSION < (0, 9) else la.InsertMode.add  # type: ignore[attr-defined]
+
+
+def freed_with(owner: Any, *objects: Any) -> None:
+    """Destroy PETSc objects of one rank when their owner is collected.
+
+    petsc4py keeps what is merely dropped until all ranks clean up together. On one rank nobody has to be waited for.
+
+    Args:
+        owner: nothing that it made may be used after it.
+        objects: PETSc objects of one communicator.
+    """
+    for thing in objects:
+        if thing.comm.size == 1:
+            weakref.finalize(owner, thing.destroy).atexit = False
 
 
 def petsc_vector(function: fem.Function) -> PETSc.Vec:
