@@ -3,11 +3,15 @@
 from functools import cache
 
 import numpy as np
+import ufl
 from mpi4py import MPI
+from dolfinx import fem
 
 from tigar_x import compat, shapes
 from tigar_x.bspline import BSplineBasis, open_knots, periodic_knots
+from tigar_x.multipatch import as_multipatch
 from tigar_x.patch import Patch
+from tigar_x.solve import SplineSystem, solve_linear
 from tigar_x.spline import ExtractedSpline
 
 WORLD = MPI.COMM_WORLD
@@ -77,6 +81,23 @@ RATIONAL = ("arc", "annulus", "cylinder")
 @cache
 def spline(name, alone=False, quadrature_degree=None):
     return ExtractedSpline(PATCHES[name](), MPI.COMM_SELF if alone else WORLD, quadrature_degree=quadrature_degree)
+
+
+def poisson(geometry, load=lambda x: 1.0 + x[0], fixed=None, **options):
+    """Solution of -div grad u = load with u = 0 on sides (all of the boundary), and its spline."""
+    s = ExtractedSpline(geometry, **options)
+    sides = as_multipatch(geometry).outer_sides if fixed is None else fixed
+    space = s.space(1, zero_dofs=np.concatenate([geometry.side_functions(*side) for side in sides]))
+    u, v = fem.Function(space.V), s.rationalize(ufl.TestFunction(space.V))
+    residual = ufl.inner(s.grad(s.rationalize(u)), s.grad(v)) * s.dx - load(s.F) * v * s.dx
+    solve_linear(SplineSystem(space, residual, ufl.derivative(residual, u), unknown=u))
+    return u, s
+
+
+def energy(u, s):
+    """Dirichlet energy of a scalar field, and its mean square."""
+    grad = s.grad(s.rationalize(u))
+    return integral(ufl.inner(grad, grad) * s.dx), integral(s.rationalize(u) ** 2 * s.dx)
 
 
 def integral(form):

@@ -128,7 +128,8 @@ def _joint(
     match = np.array([order[function] for function in one[0]])
     joint, plus, minus = one[0], one[1], other[1][match]
     alpha, beta = _weight_ratios(geometry, joint, plus, minus)
-    P = geometry.relative_control
+    w = geometry.weights[:, None]
+    P = np.column_stack([w * geometry.relative_points, w]) / w.max()
     forward, backward = P[plus] / alpha - P[joint], P[joint] - P[minus] / beta
     ratio = float((forward * backward).sum() / (forward**2).sum())
     if ratio <= 0.0 or np.abs(ratio * forward - backward).max() > tolerance:

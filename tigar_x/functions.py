@@ -48,13 +48,16 @@ class SplineFunctions:
         bases: tensor-product bases, one per patch, of one parametric dimension.
         numbering: function of every raw function (those of all patches one after the other); raw functions of one
             number are glued together. None: no two are.
+        factors: what raw functions are multiplied by before those of one number are added, as their weights may differ
+            from the weight of the sum (along a pole, for example). None: all are 1.
 
     Raises:
-        ValueError: no basis, bases of several dimensions, or a numbering that is not one.
+        ValueError: no basis, bases of several dimensions, or a numbering or factors that do not belong to them.
     """
 
     bases: tuple[TensorBasis, ...]
     numbering: IntArray | None = None
+    factors: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if not self.bases:
@@ -62,9 +65,12 @@ class SplineFunctions:
         dims = {basis.dim for basis in self.bases}
         if len(dims) != 1:
             raise ValueError(f"bases have parametric dimensions {sorted(dims)}: one and the same is required")
+        raw = int(self.offsets[-1])
+        if self.factors is not None:
+            object.__setattr__(self, "factors", checks.array("factors", self.factors, (raw,)))
         if self.numbering is None:
             return
-        raw, numbering = int(self.offsets[-1]), np.asarray(self.numbering)
+        numbering = np.asarray(self.numbering)
         used = np.unique(numbering)
         object.__setattr__(self, "numbering", numbering)
         if numbering.shape != (raw,) or not np.array_equal(used, np.arange(len(used))):
@@ -84,6 +90,12 @@ class SplineFunctions:
     def n(self) -> int:
         """Number of functions."""
         return int(self.offsets[-1] if self.numbering is None else self.numbering.max() + 1)
+
+    @cached_property
+    def first(self) -> IntArray:
+        """The first raw function of every number, shape (n,)."""
+        raw = np.arange(self.n) if self.numbering is None else np.unique(self.numbering, return_index=True)[1]
+        return raw.astype(np.int32)
 
     @property
     def degrees(self) -> tuple[int, ...]:
@@ -190,7 +202,7 @@ class SplineFunctions:
             points: shape (m, dimension), each within a patch.
 
         Returns:
-            Sparse matrix of shape (m, n); rows sum to one.
+            Sparse matrix of shape (m, n); rows sum to one where there are no factors.
         """
         x = checks.array("points", points, (None, self.dim))
         owner = self.patch_of(x)
@@ -201,6 +213,8 @@ class SplineFunctions:
             back = np.empty_like(order)
             back[order] = np.arange(len(order))
             raw = raw[back]
+        if self.factors is not None:
+            raw.data *= self.factors[raw.indices]
         if self.numbering is None:
             return raw
         merged = sp.csr_matrix((raw.data, self.numbering[raw.indices], raw.indptr), shape=(len(x), self.n))

@@ -1,7 +1,7 @@
 """Several patches in one numbering: disjoint, or glued at coincident control points."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -53,15 +53,17 @@ class MultiPatch(ControlNet):
     @cached_property
     def functions(self) -> SplineFunctions:  # type: ignore[override]
         """The functions of all patches in one numbering."""
-        return SplineFunctions(tuple(patch.basis for patch in self.patches), self.numbering)
+        functions = SplineFunctions(tuple(patch.basis for patch in self.patches), self.numbering)
+        if self.numbering is None:
+            return functions
+        raw = np.concatenate([patch.weights for patch in self.patches])
+        factors = raw / raw[functions.first][self.numbering]
+        return functions if (factors == 1.0).all() else replace(functions, factors=factors)
 
     @cached_property
     def control(self) -> FloatArray:  # type: ignore[override]
         """Homogeneous control points, one per function, shape (n, nsd + 1); unit: length."""
-        raw = np.concatenate([patch.control for patch in self.patches])
-        if self.numbering is None:
-            return raw
-        return raw[np.unique(self.numbering, return_index=True)[1]]
+        return np.concatenate([patch.control for patch in self.patches])[self.functions.first]
 
     @cached_property
     def size(self) -> float:
@@ -69,11 +71,9 @@ class MultiPatch(ControlNet):
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
     @cached_property
-    def relative_control(self) -> FloatArray:
-        """Homogeneous control points about their middle, in units of the size and of the largest weight."""
-        w = self.weights / self.weights.max()
-        x = (self.points - self.points.mean(axis=0)) / max(self.size, np.finfo(float).tiny)
-        return np.column_stack([w[:, None] * x, w])
+    def relative_points(self) -> FloatArray:
+        """Control points about their middle, in units of the size, shape (n, nsd)."""
+        return (self.points - self.points.mean(axis=0)) / max(self.size, np.finfo(float).tiny)
 
     @cached_property
     def open_sides(self) -> list[tuple[int, int, int]]:
@@ -171,7 +171,7 @@ def glued(*patches: Patch, tolerance: float = TOLERANCE, within: bool = False) -
 
     Args:
         patches: the patches.
-        tolerance: distance of homogeneous control points that counts as none, relative to the size of the model.
+        tolerance: distance of control points that counts as none, relative to the size of the model.
         within: whether coincident boundary points of one patch are glued as well: a degenerate edge, such as a pole,
             becomes one function, and a patch that closes on itself becomes a ring.
 
@@ -180,7 +180,7 @@ def glued(*patches: Patch, tolerance: float = TOLERANCE, within: bool = False) -
 
     Raises:
         ValueError: no patch, patches of different dimensions, or sides that touch but do not have the same functions:
-            other control points, weights, degrees or knots, or one longer than the other.
+            other control points, ratios of weights, degrees or knots, or one longer than the other.
     """
     checks.positive("tolerance", tolerance)
     apart = MultiPatch(patches)
@@ -208,7 +208,7 @@ def _coincidence(apart: MultiPatch, tolerance: float) -> IntArray:
         return np.arange(apart.n, dtype=np.int32)
     raw = np.unique(np.concatenate([apart.side_functions(*side) for side in apart.open_sides]))
     return _components(
-        raw[cKDTree(apart.relative_control[raw]).query_pairs(tolerance, output_type="ndarray")].T, apart.n
+        raw[cKDTree(apart.relative_points[raw]).query_pairs(tolerance, output_type="ndarray")].T, apart.n
     )
 
 
@@ -266,10 +266,11 @@ class _Side:
     @classmethod
     def of(cls, geometry: MultiPatch, k: int, direction: int, end: int) -> "_Side":
         """Side of a patch by its direction and end."""
-        own = geometry.patches[k].side_functions(0, direction, end)
+        patch = geometry.patches[k]
+        own = patch.side_functions(0, direction, end)
         numbers = geometry.functions.global_numbers(k, own)
-        bases = tuple(basis for d, basis in enumerate(geometry.patches[k].bases) if d != direction)
-        shape = Patch(bases, geometry.control[numbers])
+        bases = tuple(basis for d, basis in enumerate(patch.bases) if d != direction)
+        shape = Patch.from_points(bases, geometry.points[numbers], patch.weights[own])
         ticks = [(b.breakpoints[:-1, None] + np.diff(b.breakpoints)[:, None] * INSIDE).ravel() for b in bases]
         xi = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(bases))
         return cls(k, side_name(k, direction, end), shape, numbers, xi, shape.evaluate(xi))
