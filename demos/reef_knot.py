@@ -376,7 +376,7 @@ def main(
     scene = Scene(data, checks.whole("resolution", resolution, 1), dt)
     run, watch, progress = Run(scene), script.Stopwatch(), script.Progress(steps)
 
-    memory, states, knots, pierced = [], [scene.positions], [scene.crossings()], [scene.piercings()]
+    memory, states, knots, pierced = [], [(0.0, scene.positions)], [scene.crossings()], [scene.piercings()]
     files = Files(out, scene) if viz else None
     try:
         for n in progress:
@@ -385,7 +385,7 @@ def main(
                 run.advance(dt)
             memory.append(script.rss_mib())
             if n % every == 0 or n == steps:
-                states.append(scene.positions)
+                states.append((scene.time.time, scene.positions))
                 knots.append(scene.crossings())
                 pierced.append(scene.piercings())
             if files:
@@ -399,6 +399,9 @@ def main(
         draw(out / "reef_knot.png", scene, states, files.rows)
 
     ledger, first, second = run.ledger, *scene.centre_lines()
+    determinants = sorted({knot.determinant for knot in knots})
+    if determinants != [SQUARE_KNOT] or any(pierced):
+        log.warning("the ribbons went through each other: determinants %s, %d piercings", determinants, max(pierced))
     inputs = {"steps": steps, "dt_factor": dt_factor, "resolution": resolution, "pictures": pictures}
     summary = script.write_summary(
         out,
@@ -422,7 +425,7 @@ def main(
         | {
             "spacing_ratio": scene.spacing_ratio,
             "piercings": max(pierced),
-            "determinants": sorted({knot.determinant for knot in knots}),
+            "determinants": determinants,
             "writhe_initial": knots[0].writhe,
         },
     )
@@ -454,8 +457,8 @@ class Files:
         self._history.close()
 
 
-def draw(path: Path, scene: Scene, states: list[FloatArray], rows: list[tuple[float, ...]]) -> None:
-    """The knot from above and from the side at the start, on the way and at the end, and histories."""
+def draw(path: Path, scene: Scene, states: list[tuple[float, FloatArray]], rows: list[tuple[float, ...]]) -> None:
+    """The knot from above and from the side at the start, at the largest pull and at the end, and histories."""
     if MPI.COMM_WORLD.rank:
         return
     import matplotlib
@@ -463,14 +466,16 @@ def draw(path: Path, scene: Scene, states: list[FloatArray], rows: list[tuple[fl
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(3, 3, figsize=(14, 10), layout="constrained", height_ratios=(1.1, 0.8, 0.9))
-    for k in range(3):
-        i = k * (len(states) - 1) // 2
-        for ax, angle, across in zip(axes[:2, k], (0.0, np.radians(65.0)), (2.2, 1.6), strict=True):
-            draw_ribbons(ax, scene, states[i], angle)
-            ax.set(aspect="equal", xlim=(CENTRE - 4.0, CENTRE + 4.0), ylim=(-across, across))
+    figure, axes = plt.subplots(3, 3, figsize=(14, 9.5), layout="constrained", height_ratios=(1.0, 0.75, 0.8))
+    hardest = rows[int(np.argmin([row[1 + HISTORY.index("held_1")] for row in rows]))][0]
+    middle = min(states, key=lambda state: abs(state[0] - hardest))
+    for column, (t, x) in zip(axes.T, (states[0], middle, states[-1]), strict=True):
+        centre = 0.5 * (x[scene.first, 0].max() + x[~scene.first, 0].min())
+        for ax, angle, across in zip(column, (0.0, np.radians(65.0)), (2.3, 1.6), strict=False):
+            draw_ribbons(ax, scene, x, angle)
+            ax.set(aspect="equal", xlim=(centre - 3.5, centre + 3.5), ylim=(-across, across))
             ax.set_axis_off()
-        axes[0, k].set_title(f"state {i} of {len(states) - 1}")
+        column[0].set_title(f"t = {t:.3g}")
     t, *columns = np.array(rows).T
     history = dict(zip(HISTORY, columns, strict=True))
     for name in ("work", "kinetic", "elastic", "contact", "damping"):
@@ -483,8 +488,8 @@ def draw(path: Path, scene: Scene, states: list[FloatArray], rows: list[tuple[fl
     axes[2, 2].plot(t, history["distance"], label="smallest distance")
     axes[2, 2].axhline(scene.data.r_max, color="0.5", linestyle="--", label="$r_{max}$")
     axes[2, 2].set(xlabel="$t$", ylim=(0.0, 1.2 * scene.data.r_max), title="distance of points that may touch")
-    for ax in axes[2]:
-        ax.legend(fontsize=8)
+    for ax, place in zip(axes[2], ("center right", "upper right", "lower right"), strict=True):
+        ax.legend(fontsize=8, loc=place)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
