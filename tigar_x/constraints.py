@@ -163,17 +163,19 @@ def null_space(constraints: Sequence[sp.spmatrix], fixed: IntArray, n: int) -> s
         T, shape (n, free); rows of free degrees of freedom are unit vectors.
 
     Raises:
-        ValueError: a block has another number of columns.
+        ValueError: a block has another number of columns, or an entry that is not finite.
     """
     for i, block in enumerate(constraints):
         if block.shape[1] != n:
             raise ValueError(f"constraints[{i}] has {block.shape[1]} columns: {n} degrees of freedom are required")
+        if not np.isfinite(block.sum()):
+            raise ValueError(f"constraints[{i}] has entries that are not finite: finite ones are required")
     G = sp.vstack([*constraints], format="csr")
     solved: dict[int, dict[int, float]] = {int(dof): {} for dof in fixed}
     users: dict[int, set[int]] = {}
     for start, stop in zip(G.indptr[:-1], G.indptr[1:], strict=True):
         row: dict[int, float] = {}
-        largest = 0.0
+        largest = np.abs(G.data[start:stop]).max(initial=0.0)
         for j, value in zip(G.indices[start:stop].tolist(), G.data[start:stop].tolist(), strict=True):
             for k, factor in solved.get(j, {j: 1.0}).items():
                 row[k] = row.get(k, 0.0) + value * factor
