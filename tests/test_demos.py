@@ -24,14 +24,14 @@ def test_demo_at_toy_size(name, tmp_path):
     assert written == json.loads(json.dumps(summary))
     assert set(written) >= COMMON
     assert written["demo"] == name
-    assert written["errors"] or written["qoi"]
+    assert written.get("errors") or written.get("qoi")
     assert all(value > 0.0 for value in written.get("errors", {}).values())
     for path in tmp_path.glob("*.xdmf"):
         ET.parse(path)
         assert path.with_suffix(".h5").exists()
     for path in tmp_path.glob("*.pvd"):
         entries = ET.parse(path).findall(".//DataSet")
-        assert len(entries) == written["steps"]
+        assert len(entries) == written.get("steps", 1)
         assert all((tmp_path / entry.get("file")).exists() for entry in entries)
     assert list(tmp_path.glob("*.png"))
 
@@ -53,8 +53,9 @@ def test_manufactured_in_space_at_toy_size(tmp_path):
     assert {path.suffix for path in tmp_path.iterdir()} >= {".json", ".xdmf", ".h5", ".pvd", ".vtu", ".csv", ".png"}
 
 
-def test_no_viz_writes_the_summary_alone(tmp_path):
-    demo = load_demo("manufactured")
+@pytest.mark.parametrize("name", DEMOS)
+def test_no_viz_writes_the_summary_alone(name, tmp_path):
+    demo = load_demo(name)
     demo.main(**demo.TOY, out=tmp_path, viz=False)
     assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
 
