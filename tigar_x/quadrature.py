@@ -4,8 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tigar_x.compat import FloatArray
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.spline import ExtractedSpline
+
+
+NEGATIVE = 1e-2
+"""Share of the whole area that negative weights may have: at poles they have less, on triangles more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,8 +19,8 @@ class NodalQuadrature:
 
     Attributes:
         points: reference positions X_A, shape (nodes, nsd); unit: length.
-        weights: reference areas W_A = int phi_A, summing to the whole area, zero at the nodes of a pole, shape
-            (nodes,); unit: length or area.
+        weights: reference areas W_A = int phi_A, summing to the whole area, shape (nodes,); unit: length or area. A
+            little less than zero, as a pole makes them, is taken from the other nodes of the same cells instead.
         rational: weights w_A of the spline at the nodes, shape (nodes,); a physical value is u^h_A / w_A, and a point
             force f enters row A of the homogeneous residual as f / w_A.
     """
@@ -35,14 +40,23 @@ class NodalQuadrature:
             The quadrature.
 
         Raises:
-            ValueError: the spline is distributed, or a weight is negative, as on triangles.
+            ValueError: the spline is distributed, or weights are negative by more than rounding and poles, as on
+                triangles.
         """
         if spline.mesh.comm.size > 1:
             raise ValueError(f"spline lives on {spline.mesh.comm.size} ranks: nodal quadrature needs MPI.COMM_SELF")
         weights = spline.node_areas
-        rounding = 1e-13 * np.abs(weights).max()
-        if not (weights > -rounding).all():
+        if -weights.clip(max=0.0).sum() > NEGATIVE * weights.sum():
             i = int(np.argmin(weights))
             raise ValueError(f"weights[{i}] = {weights[i]}: nodal weights >= 0 are required, which tensor cells give")
-        weights = np.where(weights > rounding, weights, 0.0)
-        return cls(spline.node_positions, weights, spline.node_weights)
+        return cls(spline.node_positions, _spread(weights, compat.cell_dofs(spline.scalar.V)), spline.node_weights)
+
+
+def _spread(weights: FloatArray, cells: IntArray) -> FloatArray:
+    """The same weights with zero for negative ones, which the other nodes of their cells make up for."""
+    result = np.where(weights > 1e-13 * weights.max(), weights, 0.0)
+    share = result.copy()
+    for i in np.flatnonzero(weights < 0.0):
+        around = np.unique(cells[(cells == i).any(axis=1)])
+        result[around] += weights[i] * share[around] / share[around].sum()
+    return result
