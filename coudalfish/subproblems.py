@@ -18,8 +18,9 @@ from tigar_x.compat import FloatArray
 from tigar_x.extraction import subcells
 from tigar_x.linear import LinearSolver, automatic
 from tigar_x.quadrature import NodalQuadrature
-from tigar_x.solve import FiniteElementSystem, SplineSystem
+from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import TimeIntegrator
 
 ROUNDING = 1e-15

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import scipy.sparse as sp
 import ufl
 from mpi4py import MPI
 from dolfinx import fem
@@ -31,8 +30,8 @@ from tigar_x.compat import IntArray
 from tigar_x.output import VTUSeries
 from tigar_x.patch import Patch
 from tigar_x.refinement import Study, doubled, refine
-from tigar_x.solve import SplineSystem, solve_linear
-from tigar_x.spline import ExtractedSpline, SplineMeasure
+from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem, solve_linear
 
 TOY = {"degree": 2, "elements": 3, "levels": 3}
 WAVE = (3.0, 2.0)
@@ -72,23 +71,6 @@ def boundary_rows(patch: Patch) -> IntArray:
     return np.unique(np.concatenate([patch.side(name, layers=2) for name in patch.open_sides]))
 
 
-def clamped(spline: ExtractedSpline, exact: Any, h: Any) -> fem.Function:
-    """Field that has the deflection and slope of a given one on the boundary; its inner coefficients are zero."""
-    w, n, ds = spline.rationalize, spline.side_normal, spline.ds()
-    inner = np.setdiff1d(np.arange(spline.patch.n), boundary_rows(spline.patch))
-    # with a constraint, be it none, the zero dofs leave the system, whose matrix has no entries for them
-    space = spline.space(1, zero_dofs=inner, constraints=[sp.csr_matrix((0, spline.patch.n))])
-    u, v = fem.Function(space.V), ufl.TestFunction(space.V)
-
-    def slope(f: Any) -> Any:
-        return ufl.dot(spline.grad(f), n)
-
-    e = w(u) - exact
-    R = (e * w(v) + h**2 * slope(e) * slope(w(v))) * ds
-    solve_linear(SplineSystem(space, R, ufl.derivative(R, u), unknown=u))
-    return u
-
-
 @dataclass(frozen=True)
 class Solution:
     """A solution (homogeneous) on its spline, and the exact one."""
@@ -106,7 +88,7 @@ def solve(patch: Patch, h: float, load: float = 1.0) -> Solution:
     exact = wave(spline.F, k)
     rows = boundary_rows(patch)
     space = spline.space(1, zero_dofs=rows)
-    u = clamped(spline, exact, size)
+    u = spline.project_boundary(exact, slope_length=size)
     R = plate(spline, u, ufl.TestFunction(space.V), factor * ufl.dot(k, k) ** 2 * exact)
     solve_linear(SplineSystem(space, R, ufl.derivative(R, u), unknown=u))
     return Solution(spline, u, exact, patch.n - len(rows))
@@ -116,8 +98,7 @@ def errors(solution: Solution) -> dict[str, float]:
     """Norms of the error, its gradient and its second derivatives, with two more degrees of quadrature."""
     spline = solution.spline
     e = spline.rationalize(solution.u) - solution.exact
-    metadata = {"quadrature_degree": spline.quadrature_degree + 2}
-    dx = SplineMeasure(spline.dx.jacobian, ufl.dx(domain=spline.mesh, metadata=metadata))
+    dx = spline.dx.of_degree(spline.quadrature_degree + 2)
     derivatives = (e, spline.grad(e), spline.grad(spline.grad(e)))
     forms = compat.compile_forms(*(ufl.inner(D, D) * dx for D in derivatives))
     return dict(zip(("L2_u", "H1_u", "H2_u"), (compat.assemble_scalar(form) ** 0.5 for form in forms), strict=True))

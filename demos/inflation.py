@@ -38,8 +38,8 @@ from tigar_x.constraints import symmetry
 from tigar_x.line_search import LineSearch
 from tigar_x.load_stepping import LoadReport, StepControl, follow_load
 from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.solve import SplineSystem
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import LoadStepper
 
 TOY = {"elements": 4, "points": 2, "step": 0.25}

@@ -36,9 +36,11 @@ from tigar_x import checks, compat, script, surfaces
 from tigar_x.compat import FloatArray
 from tigar_x.line_search import LineSearch
 from tigar_x.load_stepping import LoadReport, StepControl, follow_load
+from tigar_x.measures import SplineMeasure
 from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.solve import SplineSystem
-from tigar_x.spline import ExtractedSpline, LumpedProjector, SplineMeasure
+from tigar_x.projection import LumpedProjector
+from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import LoadStepper
 
 TOY = {"degree": 2, "elements": 5, "step": 0.25}

@@ -31,8 +31,8 @@ from tigar_x import checks, script, surfaces
 from tigar_x.compat import FloatArray
 from tigar_x.functions import Cells
 from tigar_x.output import VTUSeries
-from tigar_x.solve import SplineSystem
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 
 PUBLISHED = 0.3006
 TOY = {"degree": 3, "elements": 4}

@@ -8,8 +8,8 @@ from dolfinx import fem
 from shnapr.contact import ContactForces, SelfContact
 from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, SolveError
-from tigar_x.solve import SplineSystem
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import TimeIntegrator
 
 

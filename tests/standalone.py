@@ -13,8 +13,9 @@ from shnapr.work import strain_energy, virtual_work
 from tigar_x import shapes, surfaces
 from tigar_x.eigen import eigenmodes
 from tigar_x.multipatch import glued
-from tigar_x.solve import SplineSystem, newton, solve_linear
+from tigar_x.solve import newton
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem, solve_linear
 
 
 def roof():

@@ -13,8 +13,9 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 from shnapr.loads import dead_load
 from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import shapes
-from tigar_x.solve import SplineSystem, newton
+from tigar_x.solve import newton
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import LoadStepper
 
 E, NU = 3.0e4, 0.3

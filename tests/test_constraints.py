@@ -13,8 +13,8 @@ from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.constraints import null_space, smooth_joints, symmetry, tied
 from tigar_x.multipatch import as_multipatch, disjoint, glued
 from tigar_x.patch import Patch
-from tigar_x.solve import SplineSystem, solve_linear
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem, solve_linear
 
 # -- elimination ------------------------------------------------------------------------------------------------------
 

@@ -18,8 +18,8 @@ from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
 from tigar_x import eigen, shapes
 from tigar_x.eigen import eigenmodes, eigenpairs
 from tigar_x.linear import SolveError
-from tigar_x.solve import SplineSystem
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 
 
 def slepc():

@@ -11,8 +11,9 @@ from petsc4py import PETSc
 from tigar_x import compat, shapes
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import SolveError
-from tigar_x.solve import FiniteElementSystem, SplineSystem, newton
+from tigar_x.solve import FiniteElementSystem, newton
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem
 
 
 def nonlinear_poisson(*, exact_tangent=True, start=0.0):

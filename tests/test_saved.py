@@ -15,8 +15,8 @@ from tigar_x.constraints import smooth_joints
 from tigar_x.multipatch import glued
 from tigar_x.patch import Patch
 from tigar_x.saved import load_extraction, save_extraction
-from tigar_x.solve import SplineSystem, solve_linear
 from tigar_x.spline import ExtractedSpline
+from tigar_x.spline_system import SplineSystem, solve_linear
 
 pytestmark = pytest.mark.mpi
 

@@ -83,7 +83,7 @@ def lagrange_degree(degrees: Sequence[int], simplices: bool) -> int:
 
 
 def node_matrix(functions: Evaluable, space: fem.FunctionSpace) -> sp.csr_matrix:
-    """Values of functions at the nodes of a scalar or blocked space on this rank (owned, then ghosts), shape (nodes, n)."""
+    """Values of functions at this rank's nodes (owned, then ghosts) of a scalar or blocked space, shape (nodes, n)."""
     dim = space.mesh.geometry.dim
     return functions.evaluate(space.tabulate_dof_coordinates()[:, :dim])
 

@@ -18,43 +18,15 @@ from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray, IntArray
+from tigar_x.compat import FloatArray
 from tigar_x.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal, tagged_boundary
 from tigar_x.functions import Cells
-from tigar_x.linear import PreparedSolver, direct
 from tigar_x.locate import closest_points
+from tigar_x.measures import SideMeasure, SplineMeasure
 from tigar_x.multipatch import MultiPatch, as_multipatch
 from tigar_x.patch import ControlNet, Patch
-from tigar_x.space import SplineSpace, extracted_matrix
-
-
-class SplineMeasure:
-    """Integration over the physical reference configuration: ``integrand * measure`` gives a form.
-
-    Attributes:
-        jacobian: physical length, area or volume per parametric one.
-        measure: UFL measure of the parametric mesh with its quadrature degree.
-    """
-
-    def __init__(self, jacobian: Any, measure: ufl.Measure) -> None:
-        self.jacobian = jacobian
-        self.measure = measure
-
-    def __rmul__(self, integrand: Any) -> ufl.Form:
-        """Form of ``integrand``."""
-        return integrand * self.jacobian * self.measure
-
-
-class SideMeasure(SplineMeasure):
-    """Integration over sides of the patches in the reference configuration.
-
-    Attributes:
-        normal: outward unit normal of the parametric domain, shape (parametric dimension,).
-    """
-
-    def __init__(self, jacobian: Any, measure: ufl.Measure, normal: Any) -> None:
-        super().__init__(jacobian, measure)
-        self.normal = normal
+from tigar_x.projection import LumpedProjector, fit
+from tigar_x.space import SplineSpace
 
 
 class ExtractedSpline:
@@ -357,9 +329,11 @@ class ExtractedSpline:
         size = _size(f)
         if constrained and size != self.nsd:
             raise ValueError(f"constrained = True: f has {size} components, conditions are known for {self.nsd}")
-        return self._fit(self.vector if constrained else self.free(size), f, self.dx)
+        space, w = self.vector if constrained else self.free(size), self.rationalize
+        u, v = ufl.TrialFunction(space.V), ufl.TestFunction(space.V)
+        return fit(space, ufl.inner(w(u), w(v)) * self.dx, ufl.inner(f, w(v)) * self.dx)
 
-    def project_boundary(self, f: Any, *sides: str, patch: int | None = None) -> fem.Function:
+    def project_boundary(self, f: Any, *sides: str, patch: int | None = None, slope_length: Any = None) -> fem.Function:
         """Field whose trace on sides is the L2 projection of data there, with all inner coefficients zero.
 
         The start of a problem with non-zero Dirichlet data: the sides' coefficients are zero dofs of the increments.
@@ -368,49 +342,26 @@ class ExtractedSpline:
             f: UFL expression over the parametric mesh, scalar or a vector.
             sides: names; none: the boundary, see :meth:`ds`.
             patch: whose sides; None: those of all patches.
+            slope_length: a length, such as the element size: two rows of coefficients are then fitted, to the values
+                and to this length times the derivative of f across the sides. None: one row, values alone.
 
         Returns:
             Homogeneous field.
         """
-        space, ds = self.free(_size(f)), self.ds(*sides, patch=patch)
-        places = self._places(sides, patch)
-        functions = np.unique(np.concatenate([self.geometry.side_functions(*place) for place in places]))
-        size = space.parts[0][1]
-        first, last = space.M.getOwnershipRangeColumn()
-        dofs = (functions[:, None] * size + np.arange(size)).ravel()
-        here = dofs[(dofs >= first) & (dofs < last)]
-        return self._fit(space, f, ds, here)
-
-    def _fit(self, space: SplineSpace, f: Any, measure: SplineMeasure, dofs: IntArray | None = None) -> fem.Function:
-        """Least squares fit of some of this rank's coefficients; None: all but the zero dofs."""
+        space, ds, w = self.free(_size(f)), self.ds(*sides, patch=patch), self.rationalize
         u, v = ufl.TrialFunction(space.V), ufl.TestFunction(space.V)
-        first, last = space.M.getOwnershipRangeColumn()
-        free = np.setdiff1d(np.arange(first, last), space.zero_dofs) if dofs is None else dofs
-        mass, load = compat.compile_forms(
-            ufl.inner(self.rationalize(u), self.rationalize(v)) * measure,
-            ufl.inner(f, self.rationalize(v)) * measure,
-        )
-        b, right = compat.create_vector(space.V), space.M.createVecRight()
-        compat.assemble_vector(b, load)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        space.M.multTranspose(b, right)
-        A = extracted_matrix(space, mass, free)
-        known, fitted = A.createVecs()
-        known.array_w[:] = right.array_r[free - first]
-        solver = PreparedSolver(direct(), A)
-        solver.solve(known, fitted)
-        right.set(0.0)
-        right.array_w[free - first] = fitted.array_r
-        result = fem.Function(space.V)
-        space.M.mult(right, compat.petsc_vector(result))
-        result.x.scatter_forward()
-        solver.destroy()
-        for finished in (A, b, right, known, fitted):
-            finished.destroy()
-        return result
+        mass, load = ufl.inner(w(u), w(v)) * ds, ufl.inner(f, w(v)) * ds
+        if slope_length is not None:
+            slope_f, slope_u, slope_v = (ufl.dot(self.grad(g), self.side_normal) for g in (f, w(u), w(v)))
+            mass += slope_length**2 * ufl.inner(slope_u, slope_v) * ds
+            load += slope_length**2 * ufl.inner(slope_f, slope_v) * ds
+        layers = 1 if slope_length is None else 2
+        rows = [self.geometry.side_functions(*place, layers) for place in self._places(sides, patch)]
+        size = space.parts[0][1]
+        return fit(space, mass, load, np.unique(np.concatenate(rows))[:, None] * size + np.arange(size))
 
     @cached_property
-    def lumped_projector(self) -> "LumpedProjector":
+    def lumped_projector(self) -> LumpedProjector:
         """The cheap projection of vector fields with a diagonal mass matrix."""
         return LumpedProjector(self, self.nsd)
 
@@ -431,54 +382,3 @@ def _on_side(box: FloatArray, slack: FloatArray, direction: int, value: float) -
         return inside.all(axis=0) & (np.abs(x[direction] - value) <= slack[direction])
 
     return on_side
-
-
-class LumpedProjector:
-    """Lumped projection of physical fields onto the spline space.
-
-    ``U_j = w_j [M^T int f phi/w]_j / [M^T int phi/w]_j``; the factor w_j makes constants exact on rational splines.
-
-    Args:
-        spline: the spline.
-        size: number of components of the fields; 1: scalars.
-    """
-
-    def __init__(self, spline: ExtractedSpline, size: int) -> None:
-        self.spline = spline
-        self.space = spline.free(size)
-        self._b = compat.create_vector(self.space.V)
-        self._load = self.space.M.createVecRight()
-        self._result = fem.Function(self.space.V)
-        self._integrate(self.compile(ufl.as_vector([1.0] * size) if size > 1 else ufl.as_ufl(1.0)))
-        self._scale = self._load.duplicate()
-        first, last = self._scale.getOwnershipRange()
-        self._scale.array_w[:] = spline.geometry.weights[np.arange(first, last) // size] / self._load.array_r
-
-    def compile(self, f: Any) -> Any:
-        """Compiled form of a field, to be given to :meth:`__call__` as often as its coefficients change.
-
-        Args:
-            f: UFL expression, scalar or of shape (size,).
-        """
-        v = ufl.TestFunction(self.space.V)
-        return compat.compile_forms(ufl.inner(f, self.spline.rationalize(v)) * self.spline.dx)[0]
-
-    def _integrate(self, form: Any) -> None:
-        compat.assemble_vector(self._b, form)
-        self._b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        self.space.M.multTranspose(self._b, self._load)
-
-    def __call__(self, form: Any) -> FloatArray:
-        """Nodal values of the projection of a field.
-
-        Args:
-            form: from :meth:`compile`.
-
-        Returns:
-            Physical values at this rank's nodes, shape (nodes, size).
-        """
-        self._integrate(form)
-        self._load.pointwiseMult(self._load, self._scale)
-        self.space.M.mult(self._load, compat.petsc_vector(self._result))
-        self._result.x.scatter_forward()
-        return self.spline.nodal(self._result)
