@@ -4,6 +4,12 @@ A sparse matrix M writes B-spline or NURBS functions in a Lagrange finite elemen
 assembles becomes isogeometric: ``A = M^T A_FE M``, ``b = M^T b_FE``. Source: Kamensky and
 Bazilevs, doi:10.1016/j.cma.2018.10.002.
 
+Geometry comes from :mod:`~tigar_x.shapes`, :mod:`~tigar_x.surfaces`, :mod:`~tigar_x.ribbon` or
+:mod:`~tigar_x.files` as a :mod:`~tigar_x.patch`, or as several of them (:mod:`~tigar_x.multipatch`).
+:mod:`~tigar_x.spline` makes spaces, forms and fields of it, under :mod:`~tigar_x.constraints`, and
+:mod:`~tigar_x.spline_system` the reduced equations. :mod:`~tigar_x.solve`, :mod:`~tigar_x.load_stepping` and
+:mod:`~tigar_x.eigen` solve them.
+
 The package also holds the ground that shells, flow and coupling stand on: linear solvers, one Newton loop, time
 integrators, output, and what a script needs around a run.
 """
