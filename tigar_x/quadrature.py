@@ -8,7 +8,6 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.spline import ExtractedSpline
 
-
 NEGATIVE = 1e-2
 """Share of the whole area that negative weights may have: at poles they have less, on triangles more."""
 

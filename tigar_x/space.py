@@ -177,7 +177,14 @@ class SplineSpace:
 
         Returns:
             Coefficients, shape (functions, size) for one part, (n,) for several.
+
+        Raises:
+            ValueError: the field is not one of this space.
         """
+        dofmap = u.function_space.dofmap
+        found = dofmap.index_map.size_global * dofmap.index_map_bs
+        if found != self.M.size[0]:
+            raise ValueError(f"u has {found} nodal values: a field of this space, with {self.M.size[0]}, is required")
         nodal, rest, load, increment = self._work
         nodal.array_w[:] = u.x.array[: nodal.getLocalSize()]
         total = np.zeros(increment.getLocalSize())

@@ -326,7 +326,7 @@ class ExtractedSpline:
         Raises:
             ValueError: constrained is asked of a field of another size.
         """
-        size = _size(f)
+        f, size = _field(f)
         if constrained and size != self.nsd:
             raise ValueError(f"constrained = True: f has {size} components, conditions are known for {self.nsd}")
         space, w = self.vector if constrained else self.free(size), self.rationalize
@@ -348,7 +348,8 @@ class ExtractedSpline:
         Returns:
             Homogeneous field.
         """
-        space, ds, w = self.free(_size(f)), self.ds(*sides, patch=patch), self.rationalize
+        f, size = _field(f)
+        space, ds, w = self.free(size), self.ds(*sides, patch=patch), self.rationalize
         u, v = ufl.TrialFunction(space.V), ufl.TestFunction(space.V)
         mass, load = ufl.inner(w(u), w(v)) * ds, ufl.inner(f, w(v)) * ds
         if slope_length is not None:
@@ -357,7 +358,6 @@ class ExtractedSpline:
             load += slope_length**2 * ufl.inner(slope_f, slope_v) * ds
         layers = 1 if slope_length is None else 2
         rows = [self.geometry.side_functions(*place, layers) for place in self._places(sides, patch)]
-        size = space.parts[0][1]
         return fit(space, mass, load, np.unique(np.concatenate(rows))[:, None] * size + np.arange(size))
 
     @cached_property
@@ -366,11 +366,12 @@ class ExtractedSpline:
         return LumpedProjector(self, self.nsd)
 
 
-def _size(f: Any) -> int:
+def _field(f: Any) -> tuple[Any, int]:
+    """A scalar or a vector of two or more components, and their number."""
     shape = ufl.as_ufl(f).ufl_shape
     if len(shape) > 1:
         raise ValueError(f"f has shape {shape}: a scalar or a vector is required")
-    return int(shape[0]) if shape else 1
+    return (f[0], 1) if shape == (1,) else (f, int(shape[0]) if shape else 1)
 
 
 def _on_side(box: FloatArray, slack: FloatArray, direction: int, value: float) -> Any:
