@@ -40,7 +40,8 @@ from coudalfish import (
     SurfaceBand,
 )
 from shnapr.loads import inertia
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import compat, script, shapes
 from tigar_x.linear import direct
 from tigar_x.patch import Patch

@@ -15,7 +15,6 @@ from coudalfish.trace import TraceMatrix
 from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.extraction import subcells
 from tigar_x.linear import LinearSolver, automatic
 from tigar_x.quadrature import NodalQuadrature
 from tigar_x.solve import FiniteElementSystem
@@ -234,7 +233,7 @@ class ShellSubproblem:
         y: fem.Function = timeInt_sh.x
         jacobian = ufl.derivative(residual_sh, y) if tangent is None else tangent
         self.system = SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y)
-        _, cells = subcells(spline_sh.V)
+        _, cells = compat.subcells(spline_sh.V)
         self._edges = np.stack([cells, np.roll(cells, 1, axis=1)], axis=-1).reshape(-1, 2)
         self._projector = spline_sh.lumped_projector
         normal = midsurface(spline_sh, spline_sh.rationalize(timeInt_sh.x_alpha)).normal

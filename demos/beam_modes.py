@@ -184,7 +184,7 @@ def write_modes(path: Path, solution: Solution) -> None:
 def draw(path: Path, solution: Solution, study: Study) -> None:
     """The modes, and the errors of their eigenvalues against the number of elements."""
     xi = np.linspace(0.0, 1.0, 201)[:, None]
-    x = solution.spline.patch.evaluate(xi)[:, 0]
+    x = solution.spline.geometry.evaluate(xi)[:, 0]
     curves = [(frequency, solution.spline.evaluate(mode, xi)[:, 1]) for frequency, mode in unit_modes(solution)]
     if MPI.COMM_WORLD.rank:
         return

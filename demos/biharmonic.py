@@ -156,7 +156,7 @@ def draw(path: Path, solution: Solution, study: Study) -> None:
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    x, y = (spline.patch.evaluate(xi)[:, i].reshape(samples, samples) for i in (0, 1))
+    x, y = (spline.geometry.evaluate(xi)[:, i].reshape(samples, samples) for i in (0, 1))
     shade = left.pcolormesh(x, y, values, shading="gouraud", cmap="viridis")
     figure.colorbar(shade, ax=left, label="$u$")
     left.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", title="deflection")

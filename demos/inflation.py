@@ -296,7 +296,7 @@ def main(
         steps=len(run.load.loads),
         newton_iterations=sum(run.load.iterations),
         cuts=sum(run.load.cuts),
-        dofs_shell=run.plate.spline.patch.n * 3,
+        dofs_shell=run.plate.spline.geometry.n * 3,
         wall_s=run.wall_s,
         cpu_s=run.cpu_s,
     )

@@ -128,7 +128,7 @@ class Leaflet:
 
     def position(self, xi: FloatArray) -> FloatArray:
         """Present positions at parameters, shape (points, 3)."""
-        return self.spline.patch.evaluate(xi) + self.spline.evaluate(self.y, xi)
+        return self.spline.geometry.evaluate(xi) + self.spline.evaluate(self.y, xi)
 
     def state(self) -> tuple[float, ...]:
         """Values of ``COLUMNS``."""
@@ -312,7 +312,7 @@ def main(
         steps=len(run.load.loads),
         newton_iterations=run.load.iterations,
         cuts=sum(run.load.cuts),
-        dofs_shell=leaflet.spline.patch.n * 3,
+        dofs_shell=leaflet.spline.geometry.n * 3,
         wall_s=run.wall_s,
         cpu_s=run.cpu_s,
     )
@@ -397,7 +397,7 @@ def draw(path: Path, runs: list[Closure], tension: FloatArray) -> None:
     space.set_title(f"closed by {leaflet.data.pressure:g} dyn/cm$^2$")
 
     edge = np.linspace(0.0, 1.0, 401)[:, None] * (1.0, 0.0)
-    for name, position in (("open", spline.patch.evaluate(edge)), ("closed", leaflet.position(edge))):
+    for name, position in (("open", spline.geometry.evaluate(edge)), ("closed", leaflet.position(edge))):
         middle.plot(position[:, 0], position[:, 1], linewidth=1.5, label=f"free edge, {name}")
     for normal in NORMALS:
         outwards = np.array([normal[1], -normal[0]]) * -np.sign(normal[1])

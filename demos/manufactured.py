@@ -27,7 +27,8 @@ from dolfinx import fem, mesh
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
 from shnapr.loads import dead_load, inertia
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
 from tigar_x.linear import LinearSolver, direct
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
@@ -321,7 +322,7 @@ def main(
         block_iterations_max=max(passes),
         linear_iterations_mean=float(np.mean([report.linear_iterations for report in reports])),
         dofs_fluid=fsi.timeInt_f.x.function_space.dofmap.index_map.size_global * (dim + 1),
-        dofs_shell=fsi.spline_sh.patch.basis.n * dim,
+        dofs_shell=fsi.spline_sh.geometry.basis.n * dim,
         wall_s=watch.wall_s,
         cpu_s=watch.cpu_s,
         rss_mib_step_10=memory[min(9, len(memory) - 1)],

@@ -170,7 +170,7 @@ def draw(path: Path, solution: Solution, study: Study) -> None:
         left.plot(xi[:, 0], values, "C0-")
         left.set(xlabel="parameter", ylabel="$u$")
     else:
-        x, y = (spline.patch.evaluate(xi)[:, i].reshape(samples, samples) for i in (0, 1))
+        x, y = (spline.geometry.evaluate(xi)[:, i].reshape(samples, samples) for i in (0, 1))
         values = values.reshape(samples, samples)
         shade = left.pcolormesh(x, y, values, shading="gouraud", cmap="viridis")
         figure.colorbar(shade, ax=left, label="$u$")

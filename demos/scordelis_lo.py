@@ -114,7 +114,7 @@ class Roof:
     @property
     def unknowns(self) -> int:
         """Number of spline coefficients that move."""
-        return self.spline.patch.n * 3 - len(self.spline.zero_dofs)
+        return self.spline.geometry.n * 3 - len(self.spline.zero_dofs)
 
     def sinking(self) -> float:
         """How far the midpoint of a straight edge moves down."""
@@ -206,7 +206,7 @@ def draw(path: Path, roof: Roof, scale: float = 10.0) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LightSource, Normalize
 
-    X = spline.patch.evaluate(xi.reshape(-1, 2)).reshape(samples, samples, 3)
+    X = spline.geometry.evaluate(xi.reshape(-1, 2)).reshape(samples, samples, 3)
     y = y.reshape(X.shape)
     x = X + scale * y
     colours = ScalarMappable(Normalize(y[..., 2].min(), y[..., 2].max()), "viridis")

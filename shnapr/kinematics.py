@@ -44,7 +44,7 @@ def midsurface(spline: ExtractedSpline, y: Any = None) -> Midsurface:
     Raises:
         ValueError: the spline is neither a curve in the plane nor a surface in space.
     """
-    m, nsd = spline.patch.dim, spline.nsd
+    m, nsd = spline.geometry.dim, spline.nsd
     if (m, nsd) not in ((1, 2), (2, 3)):
         raise ValueError(
             f"spline has parametric dimension {m} in {nsd}-dimensional space: (1, 2) or (2, 3) is required"

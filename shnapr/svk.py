@@ -6,10 +6,7 @@ from typing import Any
 import ufl
 
 from shnapr.kinematics import Midsurface, curvature_change, local_voigt, membrane_strain
-from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks
-
-__all__ = ["StVenantKirchhoff", "strain_energy", "virtual_work"]
 
 
 @dataclass(frozen=True)

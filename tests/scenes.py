@@ -9,7 +9,8 @@ from dolfinx import fem, mesh
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
 from shnapr.loads import inertia
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import compat, shapes
 from tigar_x.linear import direct
 from tigar_x.patch import Patch

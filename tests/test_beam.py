@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from shnapr.loads import dead_load
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import shapes
 from tigar_x.solve import newton
 from tigar_x.spline import ExtractedSpline

@@ -7,7 +7,8 @@ import ufl
 from dolfinx import fem
 from splines import energy, quarter, radial, rectangle, turned
 
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import shapes
 from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.constraints import null_space, smooth_joints, symmetry, tied

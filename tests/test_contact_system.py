@@ -10,7 +10,8 @@ from dolfinx import fem
 from shnapr.contact import LinearKernel, SelfContact, SmoothedKernel
 from shnapr.contact_system import ContactSystem
 from shnapr.loads import dead_load, inertia
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import shapes
 from tigar_x.load_stepping import follow_load
 from tigar_x.multipatch import disjoint

@@ -14,7 +14,8 @@ from petsc4py import PETSc
 from splines import integral, quarter
 
 from shnapr.loads import inertia
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import eigen, shapes
 from tigar_x.eigen import eigenmodes, eigenpairs
 from tigar_x.linear import SolveError

@@ -89,8 +89,8 @@ def test_lengths_and_areas(name, measure, moment):
 @pytest.mark.parametrize("name", PATCHES)
 def test_position_at_nodes(name):
     s = spline(name)
-    nodes = s.scalar.V.tabulate_dof_coordinates()[:, : s.patch.dim]
-    np.testing.assert_allclose(s.node_positions, s.patch.evaluate(nodes), rtol=0, atol=1e-14)
+    nodes = s.scalar.V.tabulate_dof_coordinates()[:, : s.geometry.dim]
+    np.testing.assert_allclose(s.node_positions, s.geometry.evaluate(nodes), rtol=0, atol=1e-14)
     position = fem.Function(s.V)
     compat.interpolate(position, s.F)
     np.testing.assert_allclose(position.x.array.reshape(-1, s.nsd), s.node_positions, rtol=0, atol=1e-13)

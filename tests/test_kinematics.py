@@ -70,7 +70,7 @@ def wavy(dim, seed=3):
 def deformed(request):
     """A random patch with a random displacement, and everything one may want to know of it."""
     spline = wavy(request.param)
-    y = spline.function(np.random.default_rng(5).uniform(-0.1, 0.1, (spline.patch.basis.n, spline.nsd)))
+    y = spline.function(np.random.default_rng(5).uniform(-0.1, 0.1, (spline.geometry.basis.n, spline.nsd)))
     state = midsurface(spline, spline.rationalize(y))
     by_normal = -state.tangents.T * spline.parametric_grad(state.normal)
     names = ("tangents", "normal", "metric", "curvature", "by_normal", "shift")
@@ -189,9 +189,9 @@ def test_rigid_motion_gives_no_strain(dim):
         plane = np.eye(spline.nsd)
         plane[[i, i, j, j], [i, j, i, j]] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
         rotation = plane @ rotation
-    points = spline.patch.points
+    points = spline.geometry.points
     moved = points @ rotation.T + np.arange(1.0, spline.nsd + 1)
-    y = spline.function((moved - points) * spline.patch.weights[:, None])
+    y = spline.function((moved - points) * spline.geometry.weights[:, None])
     reference, current = midsurface(spline), midsurface(spline, spline.rationalize(y))
     eps, kap, B, turned = point_values(
         spline,

@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("tigar_x", "shnapr", "varmint", "coudalfish")
 GROUND = {"compat", "checks", "linear", "solve", "time_integration", "output", "script"}
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).glob("**/*.py"))
-HEAVY = ("gmsh", "meshio", "matplotlib", "splipy", "h5py")
+HEAVY = ("gmsh", "meshio", "matplotlib", "splipy", "h5py", "slepc4py")
 
 
 def imports(tree, *, top_level_only=False):

@@ -68,7 +68,7 @@ def test_the_free_edge_meets_the_planes():
     assert run.final("distance_1") > -0.003
     # without planes the edge passes where they are
     assert beyond.final("distance_1") < -0.1
-    before = run.leaflet.distances(run.leaflet.spline.patch.evaluate(EDGE)).min()
+    before = run.leaflet.distances(run.leaflet.spline.geometry.evaluate(EDGE)).min()
     assert before > 0.014  # nothing touches in the open leaflet
 
 

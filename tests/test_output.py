@@ -117,13 +117,13 @@ def test_vtu_is_the_deformed_spline(name, kind, n_cells, size, folder):
     meshio = pytest.importorskip("meshio")
     s = spline(name, alone=True)
     n, nsd = len(s.node_positions), s.nsd
-    y, v = s.function(), s.function(0.25 * s.patch.control[:, :-1])
+    y, v = s.function(), s.function(0.25 * s.geometry.control[:, :-1])
     positions = np.pad(s.node_positions, ((0, 0), (0, 3 - nsd)))
     with VTUSeries(
         folder / "shell", s, y, velocity=v, pressure=lambda: np.arange(n) / n, **{"n": lambda: -s.nodal(v)}
     ) as movie:
         for step, factor in enumerate((0.0, 0.5)):
-            y.x.array[:] = s.function(factor * s.patch.control[:, :-1]).x.array
+            y.x.array[:] = s.function(factor * s.geometry.control[:, :-1]).x.array
             movie.write(0.1 * step)
             WORLD.barrier()
             # the index is complete after every step, not only at the end
@@ -144,7 +144,7 @@ def test_vtu_is_the_deformed_spline(name, kind, n_cells, size, folder):
         assert set(block.data.ravel()) == set(range(n))
         sizes = cell_sizes(read.points, block.data)
         assert sizes.min() > 0.0
-        exact = size * (1 + factor) ** s.patch.dim
+        exact = size * (1 + factor) ** s.geometry.dim
         assert sizes.sum() == pytest.approx(exact, rel=1e-12 if name == "parallelogram" else 0.03)
         assert sizes.sum() <= exact * (1 + 1e-12)  # chords
 

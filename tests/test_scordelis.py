@@ -111,7 +111,7 @@ def test_the_middle_section_balances_the_load():
     spline, data = built.spline, built.data
     n, m = (spline.project(ufl.as_vector([T[0, 0], T[1, 1], T[0, 1]])) for T in built.resultants())
     xi = np.column_stack([np.full(401, 0.5), np.linspace(0.0, 1.0, 401)])
-    X = spline.patch.evaluate(xi)
+    X = spline.geometry.evaluate(xi)
     phi = np.arctan2(X[:, 1], X[:, 2])
     n_11, m_11 = spline.evaluate(n, xi)[:, 0], spline.evaluate(m, xi)[:, 0]
 

@@ -25,7 +25,7 @@ def dense(A):
 def projector(s):
     """Tangential projector of the known surfaces in terms of the position."""
     I = ufl.Identity(s.nsd)
-    if s.nsd == s.patch.dim:
+    if s.nsd == s.geometry.dim:
         return I
     radial = ufl.as_vector([s.F[0], s.F[1], *([0.0] * (s.nsd - 2))]) / ufl.sqrt(s.F[0] ** 2 + s.F[1] ** 2)
     return I - ufl.outer(radial, radial)
@@ -47,13 +47,13 @@ def test_gradient_and_divergence_are_those_of_the_surface(name):
         s.grad(f) - P * df,
         s.grad(v) - dv * P,
         s.div(v) - ufl.inner(dv, P),
-        s.div(x) - s.patch.dim,
-        s.div(T) - (dv * P * x + s.patch.dim * v),
+        s.div(x) - s.geometry.dim,
+        s.div(T) - (dv * P * x + s.geometry.dim * v),
     ]
     assert s.grad(v).ufl_shape == (s.nsd, s.nsd)
     assert s.div(T).ufl_shape == (s.nsd,)
     assert integral(sum(ufl.inner(r, r) for r in zero) * s.dx) < 1e-24
-    if s.nsd > s.patch.dim:  # the gradient in space itself is another one
+    if s.nsd > s.geometry.dim:  # the gradient in space itself is another one
         assert integral(ufl.inner(s.grad(f) - df, s.grad(f) - df) * s.dx) > 0.1
 
 
@@ -71,7 +71,7 @@ def mass(s, factor=1.0, f=None, **options):
 def test_mass_matrix_and_its_symbolic_reuse(name):
     s = spline(name)
     factor = fem.Constant(s.mesh, 1.0)
-    zero = s.patch.side_dofs("u1", 2)
+    zero = s.geometry.side_dofs("u1", 2)
     free, held = mass(s, factor), mass(s, factor, zero_dofs=zero)
     for system in (free, held):
         system.assemble_tangent()
@@ -79,7 +79,7 @@ def test_mass_matrix_and_its_symbolic_reuse(name):
     np.testing.assert_allclose(A, A.T, rtol=0, atol=1e-14)
     assert np.linalg.eigvalsh(A).min() > 1e-5
     # sum of the components of a rigid translation
-    one = (s.patch.weights[:, None] * np.eye(s.nsd)[0]).ravel()
+    one = (s.geometry.weights[:, None] * np.eye(s.nsd)[0]).ravel()
     assert one @ A @ one == pytest.approx(integral(1.0 * s.dx), rel=1e-12)
 
     expected = A.copy()
@@ -117,7 +117,7 @@ def test_projections(name):
         lump(lump.compile(ufl.as_vector(list(constant)))), nodal_constant(s, constant), rtol=0, atol=1e-13
     )
     # the consistent projection leaves the spline space alone, the lumped one smooths it
-    u = s.function(coefficients(s.patch))
+    u = s.function(coefficients(s.geometry))
     projected = s.project(s.rationalize(u))
     np.testing.assert_allclose(projected.x.array, u.x.array, rtol=0, atol=1e-11)
     smoothed = lump(lump.compile(s.rationalize(u)))

@@ -10,7 +10,8 @@ from dolfinx import fem
 from ufl.algorithms import expand_derivatives
 
 from shnapr.loads import dead_load, inertia
-from shnapr.svk import StVenantKirchhoff, strain_energy, virtual_work
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
 from tigar_x import compat, shapes
 from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
@@ -241,7 +242,7 @@ def test_virtual_work_carries_no_factor_of_the_level():
 def test_ways_to_give_a_parameter():
     """Numbers, Constants and expressions over the mesh."""
     spline = spline_of(curve_patch())
-    y = spline.function(np.random.default_rng(0).uniform(-0.1, 0.1, (spline.patch.basis.n, 2)))
+    y = spline.function(np.random.default_rng(0).uniform(-0.1, 0.1, (spline.geometry.basis.n, 2)))
     one = fem.Function(compat.lagrange_space(spline.mesh, 1))
     one.x.array[:] = 1.0
 

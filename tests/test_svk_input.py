@@ -5,7 +5,8 @@ import pytest
 from mpi4py import MPI
 from dolfinx import fem
 
-from shnapr.svk import StVenantKirchhoff, strain_energy
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy
 from tigar_x import shapes
 from tigar_x.spline import ExtractedSpline
 

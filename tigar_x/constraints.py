@@ -82,11 +82,74 @@ def _mirror(geometry: MultiPatch, place: tuple[int, int, int], side: str, normal
 def _rows(geometry: MultiPatch, place: tuple[int, int, int]) -> tuple[IntArray, IntArray]:
     """First and second row of functions next to a side (patch, direction, end), in the same order."""
     k, direction, end = place
-    bases = geometry.patches[k].bases
-    grid = np.arange(geometry.patches[k].n).reshape([basis.n for basis in bases], order="F")
-    first, second = (np.take(grid, row, axis=direction).ravel() for row in ((0, 1) if end == 0 else (-1, -2)))
+    first, second = _local_rows(geometry.patches[k], direction, end)
     number = geometry.functions.global_numbers
     return number(k, first), number(k, second)
+
+
+def _local_rows(patch: Patch, direction: int, end: int) -> tuple[IntArray, IntArray]:
+    """The same in the numbering of the patch."""
+    grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
+    first, second = (np.take(grid, row, axis=direction).ravel() for row in ((0, 1) if end == 0 else (-1, -2)))
+    return first, second
+
+
+def no_rotation(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None) -> sp.csr_matrix:
+    """Edges of a shell that do not turn, whether they move or not: a_3 stays normal to what is next to them.
+
+    The second row of control points moves with the first, but for displacements within the tangent plane, taken at the
+    Greville points of the edge. Together with the position (``pinned``) this is a clamped edge. Holding two full rows
+    of control points would keep the edge's neighbourhood from stretching as well, an error that falls with the size of
+    an element only.
+
+    Args:
+        geometry: curve in the plane or surface in space, of one or several patches.
+        sides: names of the edges.
+        patch: whose edges; None: those of that name of all patches.
+
+    Returns:
+        G, shape (constraints, n nsd).
+
+    Raises:
+        ValueError: no side is named, there is no such side, an edge has no normal, or the geometry is not a shell.
+    """
+    if not sides:
+        raise ValueError("sides is empty: name at least one edge")
+    size = (geometry.dim, geometry.nsd)
+    if size not in ((1, 2), (2, 3)):
+        raise ValueError(f"geometry has dimension {size[0]} in {size[1]} dimensions: 1 in 2, or 2 in 3 is required")
+    whole = as_multipatch(geometry)
+    return sp.vstack([_unturned(whole, place) for place in whole.locate_sides(sides, patch)], format="csr")
+
+
+def _unturned(geometry: MultiPatch, place: tuple[int, int, int]) -> sp.csr_matrix:
+    """Edge without rotation at one side."""
+    (edge, next_row), nsd = _rows(geometry, place), geometry.nsd
+    normals = _edge_normals(geometry.patches[place[0]], *place[1:])
+    weights = geometry.weights
+    entries = [normals / weights[next_row, None], -normals / weights[edge, None]]
+    columns = [row[:, None] * nsd + np.arange(nsd) for row in (next_row, edge)]
+    rows = np.repeat(np.arange(len(edge)), nsd)
+    data = np.concatenate([entry.ravel() for entry in entries])
+    positions = (np.tile(rows, 2), np.concatenate([column.ravel() for column in columns]))
+    return sp.csr_matrix((data, positions), shape=(len(edge), geometry.n * nsd))
+
+
+def _edge_normals(patch: Patch, direction: int, end: int) -> FloatArray:
+    """Unit normals at the Greville points of a side, shape (functions, nsd)."""
+    xi = patch.basis.greville[_local_rows(patch, direction, end)[0]]
+    x, tangents = patch.evaluate(xi), []
+    for d in range(patch.dim):
+        slope = patch.basis.evaluate(xi, d) @ patch.control
+        tangents.append(slope[:, :-1] - x * slope[:, -1:])
+    normals = tangents[0][:, ::-1] * (1, -1) if patch.dim == 1 else np.cross(*tangents)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    sizes = np.prod([np.linalg.norm(tangent, axis=1, keepdims=True) for tangent in tangents], axis=0)
+    if (lengths <= STRAIGHT * sizes).any():
+        raise ValueError(
+            f"side {'uvw'[direction]}{end} has a point without a normal: no edge that collapses is allowed"
+        )
+    return np.asarray(normals / lengths)
 
 
 def smooth_joints(geometry: MultiPatch, size: int | None = None, *, tolerance: float = 1e-6) -> sp.csr_matrix:

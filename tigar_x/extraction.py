@@ -14,10 +14,9 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from petsc4py import PETSc
-from scipy.spatial import Delaunay
 
 from tigar_x import compat
-from tigar_x.compat import FloatArray, IntArray
+from tigar_x.compat import FloatArray
 from tigar_x.functions import ParametricCells
 
 
@@ -106,32 +105,6 @@ def petsc_matrix(rows: sp.spmatrix, comm: MPI.Comm) -> PETSc.Mat:
     M = PETSc.Mat().createAIJ(((m, PETSc.DETERMINE), (width, n)), bsize=1, csr=csr, comm=comm)
     M.assemble()
     return M
-
-
-def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
-    """Linear cells between neighbouring nodes, ``degree`` of them per direction in every element.
-
-    Args:
-        space: Lagrange space.
-
-    Returns:
-        meshio's name of the cells ("line", "quad", "hexahedron", "triangle" or "tetra"), and node numbers around each
-        of those that this rank owns, quadrilaterals and hexahedra in cyclic order, shape (subcells, corners).
-    """
-    reference = compat.node_points(space)
-    dim = reference.shape[1]
-    if compat.cell_name(space.mesh) in ("triangle", "tetrahedron"):
-        kind, local = ("triangle", "tetra")[dim - 2], Delaunay(reference).simplices
-    else:
-        n = round(len(reference) ** (1.0 / dim))
-        grid = np.lexsort(np.round(reference, 9).T).reshape((n,) * dim)  # the last coordinate varies slowest
-        low, high = slice(None, -1), slice(1, None)
-        square: list[Any] = [(low, low), (low, high), (high, high), (high, low)]
-        corners = [[(low,), (high,)], square, [(end, *corner) for end in (low, high) for corner in square]]
-        kind = ("line", "quad", "hexahedron")[dim - 1]
-        local = np.stack([grid[corner] for corner in corners[dim - 1]], axis=-1).reshape(-1, 2**dim)
-    dofs = compat.cell_dofs(space)[: compat.owned_cells(space.mesh)]
-    return kind, dofs[:, local].reshape(-1, local.shape[1])
 
 
 def set_nodal(function: fem.Function, values: Any) -> None:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -16,8 +16,9 @@ from dolfinx import fem, io, mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.extraction import subcells
-from tigar_x.spline import ExtractedSpline
+
+if TYPE_CHECKING:
+    from tigar_x.spline import ExtractedSpline
 
 
 class _Series:
@@ -90,7 +91,7 @@ class VTUSeries(_Series):
     def __init__(
         self,
         path: Path | str,
-        spline: ExtractedSpline,
+        spline: "ExtractedSpline",
         y: fem.Function | None = None,
         **fields: fem.Function | Callable[[], FloatArray],
     ) -> None:
@@ -99,7 +100,7 @@ class VTUSeries(_Series):
         self._comm = spline.mesh.comm
         self._y = y
         self._fields = fields
-        self._kind, cells = subcells(spline.V)
+        self._kind, cells = compat.subcells(spline.V)
         counts = self._comm.allgather(len(spline.node_positions))
         self._cells = self._gather(cells + sum(counts[: self._comm.rank]))
         self._entries: list[str] = []

@@ -72,7 +72,7 @@ class ExtractedSpline:
         zero_dofs: ArrayLike | Sequence[int] = (),
         constraints: Sequence[sp.spmatrix] = (),
     ) -> None:
-        self.geometry = self.patch = geometry
+        self.geometry = geometry
         self.cells = cells
         self.dim, self.nsd = geometry.dim, geometry.nsd
         chosen = 2 * max(geometry.functions.degrees) if quadrature_degree is None else quadrature_degree

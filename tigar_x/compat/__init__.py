@@ -36,6 +36,7 @@ from tigar_x.compat.spaces import (
     lagrange_space,
     mixed_space,
     node_points,
+    subcells,
     tabulate,
 )
 
@@ -53,6 +54,7 @@ __all__ = [
     "lagrange_space",
     "mixed_space",
     "node_points",
+    "subcells",
     "tabulate",
     "bounding_box_tree",
     "candidate_cells",

@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem, mesh
 
 from tigar_x.compat.forms import JIT, compiling
-from tigar_x.compat.meshes import cell_name
+from tigar_x.compat.meshes import cell_name, owned_cells
 from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
 
 # Nodes lie at Gauss-Lobatto-Legendre points, which is the default of all releases.
@@ -139,6 +139,34 @@ def node_points(space: fem.FunctionSpace) -> FloatArray:
     """Reference coordinates of the nodes of a Lagrange space, shape (dofs per cell, topological dimension)."""
     points = space.element.interpolation_points
     return np.asarray(points() if VERSION < (0, 11) else points)
+
+
+def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
+    """Linear cells between neighbouring nodes, ``degree`` of them per direction in every element.
+
+    Args:
+        space: Lagrange space.
+
+    Returns:
+        meshio's name of the cells ("line", "quad", "hexahedron", "triangle" or "tetra"), and node numbers around each
+        of those that this rank owns, quadrilaterals and hexahedra in cyclic order, shape (subcells, corners).
+    """
+    reference = node_points(space)
+    dim = reference.shape[1]
+    if cell_name(space.mesh) in ("triangle", "tetrahedron"):
+        from scipy.spatial import Delaunay
+
+        kind, local = ("triangle", "tetra")[dim - 2], Delaunay(reference).simplices
+    else:
+        n = round(len(reference) ** (1.0 / dim))
+        grid = np.lexsort(np.round(reference, 9).T).reshape((n,) * dim)  # the last coordinate varies slowest
+        low, high = slice(None, -1), slice(1, None)
+        square: list[Any] = [(low, low), (low, high), (high, high), (high, low)]
+        corners = [[(low,), (high,)], square, [(end, *corner) for end in (low, high) for corner in square]]
+        kind = ("line", "quad", "hexahedron")[dim - 1]
+        local = np.stack([grid[corner] for corner in corners[dim - 1]], axis=-1).reshape(-1, 2**dim)
+    dofs = cell_dofs(space)[: owned_cells(space.mesh)]
+    return kind, dofs[:, local].reshape(-1, local.shape[1])
 
 
 def interpolate(function: fem.Function, expression: Any) -> None:
