@@ -36,7 +36,6 @@ from shnapr.work import internal_tangent, internal_work, strain_energy
 from tigar_x import checks, compat, script, shapes
 from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.extraction import subcells
 from tigar_x.linear import SolveError
 from tigar_x.multipatch import MultiPatch, disjoint
 from tigar_x.output import CSVSeries, VTUSeries
@@ -204,7 +203,7 @@ class Scene:
     @cached_property
     def quads(self) -> IntArray:
         """Quadrilaterals between neighbouring nodes, shape (quadrilaterals, 4)."""
-        return subcells(self.spline.V)[1]
+        return compat.subcells(self.spline.V)[1]
 
     @cached_property
     def first(self) -> Any:
