@@ -30,7 +30,7 @@ from mpi4py import MPI
 
 from shnapr.contact import LinearKernel, SelfContact
 from shnapr.contact_system import ContactSystem
-from shnapr.loads import dead_load, inertia
+from shnapr.loads import dead_load, inertia, mass_damping
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy
 from tigar_x import checks, compat, script, shapes
@@ -135,7 +135,8 @@ class Scene:
         self.time = TimeIntegrator(self.y, time_step, backward_euler(2))
         material = StVenantKirchhoff(data.youngs_modulus, data.poisson_ratio, data.thickness)
         mass = {"density": data.density, "thickness": data.thickness}
-        moving = inertia(spline, self.time.xddot_alpha + data.damping * self.time.xdot_alpha, z, **mass)
+        moving = inertia(spline, self.time.xddot_alpha, z, **mass)
+        moving += mass_damping(spline, self.time.xdot_alpha, z, coefficient=data.damping, **mass)
         pull = ufl.conditional(ufl.gt(spline.F[0], data.pulled), data.density * data.thickness * data.body_force, 0.0)
         load = dead_load(spline, ufl.as_vector([pull, 0.0, 0.0]), z)
         residual = moving + internal_work(spline, material, self.time.x_alpha, z) + load
