@@ -1,0 +1,56 @@
+"""Edges that do not turn: which displacements the constraints allow."""
+
+import numpy as np
+import pytest
+
+from tigar_x import shapes, surfaces
+from tigar_x.constraints import no_rotation
+
+PANEL = surfaces.cylinder_panel(radius=2.0, length=1.5, angle=1.2, elements=(3, 4), degrees=(3, 3))
+
+
+def violation(geometry, field, *sides):
+    """Largest row of G U for a displacement of the control points."""
+    U = field * geometry.weights[:, None]
+    return np.abs(no_rotation(geometry, *sides) @ U.ravel()).max()
+
+
+@pytest.mark.parametrize("side", ["end_0", "end_1", "straight_0", "straight_1"])
+def test_panel(side):
+    """Motions and stretches along the surface are free, turning is not."""
+    x = PANEL.points
+    assert violation(PANEL, np.ones_like(x) * (0.3, -0.2, 0.7), side) < 1e-14
+    along = np.zeros_like(x)
+    along[:, 0] = x[:, 0] ** 2
+    assert violation(PANEL, along, side) < 1e-14
+    angle = 0.1
+    turned = x @ np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).T - x
+    assert violation(PANEL, turned, "end_0") > 1e-3
+    x_axis = x @ np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]).T - x
+    assert violation(PANEL, x_axis, "straight_0") > 1e-3
+    assert no_rotation(PANEL, side).shape == (len(PANEL.side(side)), PANEL.n * 3)
+
+
+def test_straight_beam():
+    """Across the axis the second control point moves with the first, along it as it likes."""
+    line = shapes.line((0.0, 0.0), (3.0, 0.0), elements=4, degree=2)
+    G = no_rotation(line, "u0", "u1").toarray()
+    expected = np.zeros((2, line.n * 2))
+    expected[0, [1, 3]] = -1.0, 1.0
+    expected[1, [-1, -3]] = -1.0, 1.0
+    np.testing.assert_allclose(np.abs(G), np.abs(expected), atol=1e-15)
+    np.testing.assert_allclose(G.sum(axis=1), 0.0, atol=1e-15)
+
+
+def test_what_is_no_edge_of_a_shell_is_refused():
+    with pytest.raises(ValueError, match="sides is empty"):
+        no_rotation(PANEL)
+    with pytest.raises(ValueError, match="name = 'u2'"):
+        no_rotation(PANEL, "u2")
+    box = shapes.box(lengths=(1, 1, 1), elements=(2, 2, 2), degrees=(2, 2, 2))
+    with pytest.raises(ValueError, match="dimension 3 in 3"):
+        no_rotation(box, "u0")
+    cap = surfaces.sphere_cap(radius=1.0, angle=1.0, elements=(2, 4), degrees=(2, 2))
+    with pytest.raises(ValueError, match="side u0 has a point without a normal"):
+        no_rotation(cap, "pole")
+    assert no_rotation(cap, "rim").shape[0] == len(cap.side("rim"))
