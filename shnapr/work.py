@@ -95,12 +95,12 @@ def internal_tangent(spline: ExtractedSpline, material: Material, y: Any, z: Any
         unknown: the Function that ``y`` depends on, or ``y`` itself.
 
     Returns:
-        Bilinear form in ``z`` and a trial function of ``spline.V``.
+        Bilinear form in ``z`` and a trial function of the unknown's space.
     """
     current = midsurface(spline, spline.rationalize(y))
     response = _Response(material, midsurface(spline), current)
     test = _Variation(spline, current, z)
-    trial = _Variation(spline, current, ufl.derivative(y, unknown, ufl.TrialFunction(spline.V)))
+    trial = _Variation(spline, current, ufl.derivative(y, unknown, ufl.TrialFunction(unknown.function_space)))
     n, m = response.forces, response.moments
     integrand = ufl.dot(test.measures, response.stiffness * trial.measures)
     integrand += ufl.inner(test.gradient * n, trial.gradient)
