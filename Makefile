@@ -38,9 +38,10 @@ help: ## show this list
 setup: ## install Debian's packages and make .venv, whatever is missing of them
 	@$(SETUP)
 
-demo: setup ## run the manufactured solution and its convergence table, into results/manufactured
+demo: setup ## run the fluid-membrane benchmark and its convergence table, and a shell, into results/
 	$(PYTHON) demos/manufactured.py --level 4 --out results/manufactured
 	$(PYTHON) benchmarks/manufactured.py --levels 1,2,3,4 --presets reference,default --out results/manufactured
+	$(PYTHON) demos/scordelis_lo.py --out results/scordelis_lo
 
 test: setup ## run the tests, but for the slow ones
 	$(PYTHON) -m pytest -m "not slow"
@@ -65,6 +66,8 @@ lint: setup ## check style and types
 
 bench: setup ## run the benchmarks, into results/benchmarks
 	$(PYTHON) benchmarks/manufactured.py --out results/benchmarks
+	$(PYTHON) benchmarks/scordelis_lo.py --out results/benchmarks/scordelis_lo
+	$(PYTHON) benchmarks/contact.py --out results/benchmarks/contact
 
 docs: ## write the documentation of the packages into build/docs
 	@$(SETUP) docs

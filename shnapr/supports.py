@@ -15,6 +15,10 @@ from tigar_x.patch import Patch
 def clamped(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None) -> IntArray:
     """Edges whose position and tangent plane are held: the two outer rows of control points.
 
+    This is how the published analyses clamp. Held in all components, the second row keeps the edge's elements from
+    stretching across the edge as well, an error of first order in their size; :func:`pinned` with
+    :func:`tigar_x.constraints.no_rotation` holds the tangent plane alone.
+
     Args:
         geometry: the shell, with open knot vectors across these edges.
         sides: names of the edges, such as "u0".
