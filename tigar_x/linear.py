@@ -155,6 +155,7 @@ class PreparedSolver:
         self._kept_iterations: int | None = None
         self._fallback: PreparedSolver | None = None
         self._residual: PETSc.Vec | None = None
+        self._copy: PETSc.Vec | None = None
 
     @cached_property
     def _ksp(self) -> PETSc.KSP:
@@ -184,10 +185,16 @@ class PreparedSolver:
             options.delValue(self._pending_options.pop())
 
     def _attempt(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        # a solve that PETSc breaks off leaves its right-hand side locked, so it gets a copy
+        if self._copy is None:
+            self._copy = b.duplicate()
+            compat.freed_with(self, self._copy)
+        b.copy(self._copy)
         try:
-            self._ksp.solve(b, x)
+            self._ksp.solve(self._copy, x)
         except PETSc.Error as error:
             log.warning("%s failed: %s", self.recipe.name, error)
+            self._copy = None
             return False
         finally:
             self._clear_options()
@@ -208,8 +215,9 @@ class PreparedSolver:
         self._ksp.destroy()
         if self._fallback is not None:
             self._fallback.destroy()
-        if self._residual is not None:
-            self._residual.destroy()
+        for vector in (self._residual, self._copy):
+            if vector is not None:
+                vector.destroy()
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.

@@ -291,5 +291,5 @@ def _point(name: str, value: ArrayLike) -> FloatArray:
 def _lengths(value: ArrayLike, count: int) -> FloatArray:
     lengths = checks.array("lengths", value, (count,))
     for i, length in enumerate(lengths):
-        checks.positive(f"lengths[{i}]", length)
+        checks.positive(f"lengths[{i}]", float(length))
     return lengths
