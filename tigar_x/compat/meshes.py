@@ -13,7 +13,9 @@ from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
 if VERSION < (0, 9):
 
     def _coordinates(cell: str, dim: int) -> dict[str, Any]:
-        return {"domain": ufl.Mesh(ufl.VectorElement("Lagrange", cell, 1, dim=dim))}
+        # the variant that the form compiler would write into the element, and into every later cache key, on first use
+        nodes = ufl.FiniteElement("Lagrange", cell, 1, variant="equispaced")
+        return {"domain": ufl.Mesh(ufl.VectorElement(nodes, dim=dim))}
 
     _tree, _collisions = geometry.BoundingBoxTree, geometry.compute_collisions
 else:
