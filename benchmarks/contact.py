@@ -94,8 +94,8 @@ def main(
     text = script.table(COLUMNS, lines)
     text += f"\nCPU seconds; the machine is {speed:.2f} times as fast as that of legacy.csv: {here}"
     text += "\nexponent of the time with a search: " + ", ".join(f"{k} {v:.3f}" for k, v in growth.items())
-    at_target = [r["search"] for r in rows if 0.9 < r["points"] / TARGET_POINTS < 1.1]
-    text += f" (target {TARGET_EXPONENT}); at {TARGET_POINTS} points {at_target} s (target {TARGET_SECONDS})\n"
+    at_target = ", ".join(f"{r['search']:.3f}" for r in rows if 0.9 < r["points"] / TARGET_POINTS < 1.1)
+    text += f" (target {TARGET_EXPONENT}); at about {TARGET_POINTS} points {at_target} s (target {TARGET_SECONDS})\n"
     print(text)
     name = "contact-shuffled" if shuffled else "contact"
     summary = script.write_summary(out / name, name, inputs, cpu_s=rows, exponents=growth, calibration=here)
