@@ -7,3 +7,5 @@ Materials are in :mod:`~shnapr.svk` and :mod:`~shnapr.hyperelastic`, their virtu
 and supports in :mod:`~shnapr.loads` and :mod:`~shnapr.supports`, stresses in :mod:`~shnapr.stress`. Shells meet rigid
 planes (:mod:`~shnapr.planes`), themselves and each other (:mod:`~shnapr.contact`, :mod:`~shnapr.contact_system`).
 """
+
+import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)

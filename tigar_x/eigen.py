@@ -222,7 +222,7 @@ def _slepc(K: PETSc.Mat, M: PETSc.Mat, shift: float) -> Iterator[_Nearest]:
             eps.setDeflationSpace(deflated)
             try:
                 eps.solve()
-            except PETSc.Error as error:
+            except (PETSc.Error, SystemError) as error:  # newer slepc4py wraps the former in the latter
                 raise SolveError(f"SLEPc failed; {_HINT}: {error}") from error
             if eps.getConverged() < count:
                 raise SolveError(f"SLEPc found {eps.getConverged()} of {count} eigenpairs ({eps.getConvergedReason()})")
