@@ -64,6 +64,7 @@ class FiniteElementSystem:
         tangent: ufl.Form | None = None,
         solver: LinearSolver | None = None,
     ) -> None:
+        compat.free_dropped(x.function_space.mesh.comm)
         self.x = x
         self.bcs = tuple(bcs)
         self.recipe = direct() if solver is None else solver

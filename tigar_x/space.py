@@ -93,6 +93,7 @@ class SplineSpace:
     ) -> None:
         if not parts:
             raise ValueError("parts is empty: one field or more is required")
+        compat.free_dropped(domain.comm)
         self.mesh = domain
         self.parts = tuple((functions, checks.whole("size", size, 1)) for functions, size in parts)
         simplices = compat.cell_name(domain) in ("triangle", "tetrahedron")

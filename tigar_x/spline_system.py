@@ -40,6 +40,7 @@ class SplineSystem:
         unknown: fem.Function | None = None,
         zero_dofs: ArrayLike | None = None,
     ) -> None:
+        compat.free_dropped(space.V.mesh.comm)
         self.space = space
         self.unknown = unknown
         self._residual, self._tangent = compat.compile_forms(residual, tangent)

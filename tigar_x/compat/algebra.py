@@ -17,18 +17,57 @@ from tigar_x.compat.spaces import component_space, component_view
 _ADD = la.ScatterMode.add if VERSION < (0, 9) else la.InsertMode.add  # type: ignore[attr-defined]
 
 
-def freed_with(owner: Any, *objects: Any) -> None:
-    """Destroy PETSc objects of one rank when their owner is collected.
+_shared: dict[tuple[int, ...], list[tuple[weakref.ref[Any], tuple[Any, ...]]]] = {}
+"""Owners and PETSc objects of several ranks, by these ranks, in the order in which all of them made them."""
 
-    petsc4py keeps what is merely dropped until all ranks clean up together. On one rank nobody has to be waited for.
+
+def freed_with(owner: Any, *objects: Any) -> None:
+    """Destroy PETSc objects some time after their owner is gone.
+
+    petsc4py keeps what is merely dropped, and with it memory and communicators, of which some MPI libraries have few.
+    On one rank the objects go with their owner; on several with :func:`free_dropped`.
 
     Args:
         owner: nothing that it made may be used after it.
-        objects: PETSc objects of one communicator.
+        objects: PETSc objects of one communicator; all ranks make them in the same order.
     """
+    comm = objects[0].comm.tompi4py()
+    if comm.size > 1:
+        _shared.setdefault(_members(comm), []).append((weakref.ref(owner), objects))
+        return
     for thing in objects:
-        if thing.comm.size == 1:
-            weakref.finalize(owner, thing.destroy).atexit = False
+        weakref.finalize(owner, thing.destroy).atexit = False
+
+
+def free_dropped(comm: MPI.Comm) -> None:
+    """Destroy the PETSc objects whose owners are gone on all ranks (collective).
+
+    Args:
+        comm: communicator of the ranks that made them.
+    """
+    if comm.size == 1:
+        return
+    members = _members(comm)
+    entries = _shared.get(members, [])
+    counts = comm.allgather(len(entries))
+    if min(counts) < max(counts):  # a rank has failed where others have not: better to keep all than to wait for it
+        return
+    gone = np.array([owner() is None for owner, _ in entries], dtype=np.int32)
+    comm.Allreduce(MPI.IN_PLACE, gone, op=MPI.MIN)
+    for (_, objects), dead in zip(entries, gone, strict=True):
+        if dead:
+            for thing in objects:
+                thing.destroy()
+    _shared[members] = [entry for entry, dead in zip(entries, gone, strict=True) if not dead]
+
+
+def _members(comm: MPI.Comm) -> tuple[int, ...]:
+    """World ranks of a communicator."""
+    group, world = comm.Get_group(), MPI.COMM_WORLD.Get_group()
+    ranks = MPI.Group.Translate_ranks(group, list(range(comm.size)), world)
+    group.Free()
+    world.Free()
+    return tuple(int(rank) for rank in ranks)
 
 
 def petsc_vector(function: fem.Function) -> PETSc.Vec:
