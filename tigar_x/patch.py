@@ -1,5 +1,6 @@
 """A spline geometry as data: degrees, knots and homogeneous control points."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,7 +18,7 @@ SIDES = {f"{axis}{end}": (direction, end) for direction, axis in enumerate("uvw"
 """Names of the sides: the direction that is normal to the side, and its start (0) or end (1)."""
 
 
-class ControlNet:
+class ControlNet(ABC):
     """What all spline geometries share: functions, and a homogeneous control point for each of them.
 
     Attributes:
@@ -70,6 +71,7 @@ class ControlNet:
         """Whether the weights differ from one."""
         return bool((self.weights != 1.0).any())
 
+    @abstractmethod
     def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
         """Sides by name.
 
@@ -83,12 +85,12 @@ class ControlNet:
         Raises:
             ValueError: there is no such side or patch.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def side_places(self) -> list[dict[str, tuple[int, int]]]:
         """For every patch its sides by name, each with its direction and end."""
-        raise NotImplementedError
 
+    @abstractmethod
     def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
         """Functions next to a side, sorted.
 
@@ -98,7 +100,6 @@ class ControlNet:
             end: its start (0) or end (1).
             layers: rows of functions.
         """
-        raise NotImplementedError
 
     def where(self, predicate: Callable[[FloatArray], NDArray[np.bool_]]) -> IntArray:
         """Functions whose control points lie in a region.
