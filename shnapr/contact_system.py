@@ -62,7 +62,7 @@ class ContactSystem(SplineSystem):
         return self.contact.evaluate(self.positions(), tangent=tangent, positive=self._positive, alpha=alpha)
 
     def assemble_residual(self, load: FloatArray | None = None) -> float:
-        """Assemble and extract the residual with contact, see :meth:`tigar_x.solve.SplineSystem.assemble_residual`."""
+        """Assemble and extract the residual with contact, see the base class."""
         try:
             self.forces = self._contact(tangent=False)
         except SolveError:
@@ -71,6 +71,6 @@ class ContactSystem(SplineSystem):
         return super().assemble_residual(forces if load is None else forces + load)
 
     def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: Any = None) -> None:
-        """Assemble and extract the tangent with contact, see :meth:`tigar_x.solve.SplineSystem.assemble_tangent`."""
+        """Assemble and extract the tangent with contact, see the base class."""
         own = self._contact(tangent=True).tangent
         super().assemble_tangent(diagonal, own if pairs is None else own + pairs)

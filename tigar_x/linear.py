@@ -212,7 +212,8 @@ class PreparedSolver:
 
     def destroy(self) -> None:
         """Free the factors, which petsc4py would keep (collective); the object is of no use afterwards."""
-        self._ksp.destroy()
+        if "_ksp" in vars(self):
+            self._ksp.destroy()
         if self._fallback is not None:
             self._fallback.destroy()
         for vector in (self._residual, self._copy):
