@@ -48,7 +48,7 @@ from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import Scheme, TimeIntegrator, backward_euler, generalized_alpha
 from varmint.boundary import stable_neumann, weak_dirichlet
-from varmint.mesh import boundary_measures
+from varmint.mesh import named
 from varmint.space import equal_order_space, split
 from varmint.vms import interior_residual
 
@@ -169,12 +169,8 @@ def duct(
     """
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0.0, 0.0], [2.0, 1.0]], [2 * n, n], mesh.CellType.triangle)
     load = fem.Constant(domain, np.array([float(jump), 0.0]))
-    inlet, outlet = boundary_measures(
-        domain,
-        quadrature_degree=2,
-        inlet=lambda x: np.isclose(x[0], 0.0),
-        outlet=lambda x: np.isclose(x[0], 2.0),
-    ).values()
+    ends = named(domain, inlet=lambda x: np.isclose(x[0], 0.0), outlet=lambda x: np.isclose(x[0], 2.0))
+    inlet, outlet = ends.ds("inlet", degree=2), ends.ds("outlet", degree=2)
 
     def boundary(v: Any, p: Any, z: Any, q: Any, rho: Any, mu: Any) -> ufl.Form:
         loaded = stable_neumann(v, z, domain, inlet, rho=rho, traction=load)

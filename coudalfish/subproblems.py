@@ -90,7 +90,6 @@ class FluidSubproblem:
         self._is_velocity = np.zeros(owned)
         self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
         self._product = self.system.b.duplicate()
-        self._has_tangent = False
         self._reference = 0.0
 
     def _median_size(self) -> float:
@@ -143,7 +142,7 @@ class FluidSubproblem:
 
     def momentum_scale(self) -> float:
         """Size of the terms that balance in the flow, the last tangent times the state; unit: force."""
-        if not self._has_tangent:
+        if not self.system.has_tangent:
             return 0.0
         self.system.A.mult(compat.petsc_vector(self.timeInt.x), self._product)
         return self.norm(self._product, 0.0)
@@ -168,7 +167,6 @@ class FluidSubproblem:
                 )
 
         self.system.assemble_tangent(add)
-        self._has_tangent = True
 
     def solve(self, *, first: bool) -> int:
         """Solve for the increment and subtract it.

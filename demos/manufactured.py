@@ -36,7 +36,7 @@ from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet
-from varmint.mesh import boundary_measures
+from varmint.mesh import named
 from varmint.space import equal_order_space, split
 from varmint.vms import interior_residual
 
@@ -158,7 +158,7 @@ def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver | 
         scale_m=band.scale_m,
         scale_c=band.scale_c,
     )
-    ds = boundary_measures(domain, quadrature_degree=2, sides=on_sides(data))["sides"]
+    ds = named(domain, sides=on_sides(data)).ds("sides", degree=2)
     residual += weak_dirichlet(v, p, z, q, exact.u, domain, ds, rho=c.rho, mu=c.mu)
     bcs = [compat.pin_component(V, d, lambda x: np.abs(x).max(axis=0) < 1e-6 * data.L)]
     if d == 3:

@@ -41,6 +41,11 @@ class LinearSolver:
     rebuild_growth: float | None = None
     fallback: "LinearSolver | None" = None
 
+    @property
+    def is_direct(self) -> bool:
+        """Whether it is a factorisation, without a tolerance."""
+        return "ksp_rtol" not in self.options
+
 
 def direct(package: str = "mumps") -> LinearSolver:
     """Sparse LU factorisation.
@@ -151,7 +156,7 @@ class PreparedSolver:
         self.recipe = recipe
         self._A = A
         self._pending_options: list[str] = []
-        self._direct = "ksp_rtol" not in recipe.options
+        self._direct = recipe.is_direct
         self._kept_iterations: int | None = None
         self._fallback: PreparedSolver | None = None
         self._residual: PETSc.Vec | None = None

@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
 
@@ -24,6 +25,10 @@ class System(Protocol):
     @property
     def b(self) -> PETSc.Vec:
         """Residual of the last assembly; only a line search looks at it."""
+
+    @property
+    def has_tangent(self) -> bool:
+        """Whether a tangent has been assembled; only asked for where tangents are kept."""
 
     def assemble_residual(self) -> float:
         """Assemble the residual at the present state and return its norm."""
@@ -38,6 +43,19 @@ class System(Protocol):
         """Move the state by minus the increment."""
 
 
+class RankOne(Protocol):
+    """A load ``s(x) a`` with one scalar s of the whole unknown, such as the pressure that follows an outlet's flow rate.
+
+    The residual contains s as of its assembly (see ``before`` of :class:`FiniteElementSystem`). Its tangent ``a s'^T`` is dense, and is therefore not assembled but added to the solution of systems without it.
+    """
+
+    def load(self) -> PETSc.Vec:
+        """Vector a, zero at constrained dofs."""
+
+    def slope(self) -> PETSc.Vec:
+        """Derivative s' of s by the unknown, zero at constrained dofs."""
+
+
 class FiniteElementSystem:
     """A residual in a finite element space with strong boundary conditions.
 
@@ -47,12 +65,18 @@ class FiniteElementSystem:
         bcs: strong conditions; their values enter through :meth:`apply_boundary_values`.
         tangent: UFL tangent; None: the derivative of the residual.
         solver: linear solver recipe.
+        constant: dofs of a field that the equations determine up to a constant, such as the pressure of an enclosed
+            flow: the part of the residual that no state can balance is taken out, and so is the constant of every
+            increment. Needs an iterative solver. None: there is no such field.
+        rank_one: loads whose tangent is dense.
+        before: called before every assembly of the residual, to bring along what follows the unknown.
 
     Attributes:
         A: tangent matrix.
         b: residual vector, with ghosts.
         recipe: linear solver recipe.
         iterations: linear iterations of the last solve.
+        has_tangent: whether a tangent has been assembled.
     """
 
     def __init__(
@@ -63,6 +87,9 @@ class FiniteElementSystem:
         *,
         tangent: ufl.Form | None = None,
         solver: LinearSolver | None = None,
+        constant: IntArray | None = None,
+        rank_one: Sequence[RankOne] = (),
+        before: Sequence[Callable[[], None]] = (),
     ) -> None:
         compat.free_dropped(x.function_space.mesh.comm)
         self.x = x
@@ -78,6 +105,22 @@ class FiniteElementSystem:
         self._solver = PreparedSolver(self.recipe, self.A)
         compat.freed_with(self, self.A, self.b, self._dx)
         self.iterations = 0
+        self.has_tangent = False
+        self._null = None if constant is None else self._null_space(constant)
+        self._low_rank = LowRank(rank_one) if rank_one else None
+        self._before = tuple(before)
+
+    def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
+        """Of the tangent and of its transpose, attached to it."""
+        direction = self.b.duplicate()
+        direction.set(0.0)
+        owned = constant[constant < direction.getLocalSize()]
+        direction.array_w[owned] = 1.0
+        direction.normalize()
+        null = PETSc.NullSpace().create(vectors=[direction], comm=self.A.comm)
+        self.A.setNullSpace(null)
+        compat.freed_with(self, direction, null)
+        return null
 
     def apply_boundary_values(self) -> None:
         """Write the prescribed values into the unknown."""
@@ -92,6 +135,8 @@ class FiniteElementSystem:
         Returns:
             Its Euclidean norm.
         """
+        for update in self._before:
+            update()
         compat.assemble_vector(self.b, self._residual)
         with self.b.localForm() as local:
             if load is not None:
@@ -99,6 +144,8 @@ class FiniteElementSystem:
         self.b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         owned = self.constrained[self.constrained < self.b.getLocalSize()]
         self.b.array_w[owned] = 0.0
+        if self._null is not None:
+            self._null.remove(self.b)
         return float(self.b.norm())
 
     def assemble_tangent(self, add: Callable[[PETSc.Mat], None] | None = None) -> None:
@@ -112,6 +159,9 @@ class FiniteElementSystem:
             self.A.assemble()
             add(self.A)
         self.A.assemble()
+        self.has_tangent = True
+        if self._low_rank is not None:
+            self._low_rank.forget()
 
     def solve(self, reference: float | None = None) -> PETSc.Vec:
         """Solve for the increment.
@@ -126,12 +176,77 @@ class FiniteElementSystem:
             SolveError: the linear solver failed.
         """
         self.iterations = self._solver.solve(self.b, self._dx, reference)
+        if self._low_rank is not None:
+            self.iterations += self._low_rank.correct(self._dx, self._solver)
+        if self._null is not None:
+            self._null.remove(self._dx)
         return self._dx
+
+    def assembled(self, form: ufl.Form) -> PETSc.Vec:
+        """Vector of a linear form in the system's space, zero at constrained dofs (collective).
+
+        Args:
+            form: linear form.
+        """
+        (compiled,) = compat.compile_forms(form)
+        vector = compat.create_vector(self.x.function_space)
+        compat.freed_with(self, vector)
+        compat.assemble_vector(vector, compiled)
+        vector.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        vector.array_w[self.constrained[self.constrained < vector.getLocalSize()]] = 0.0
+        return vector
+
+    def rounding(self) -> float:
+        """Size of the rounding error in the residual, from the last tangent and the present state (collective)."""
+        if not self.has_tangent:
+            return 0.0
+        return 2e-15 * float(self.A.norm(PETSc.NormType.INFINITY) * compat.petsc_vector(self.x).norm())
 
     def subtract(self, increment: PETSc.Vec) -> None:
         """Subtract an increment from the unknown, ghosts included."""
         self.x.x.array[: increment.getLocalSize()] -= increment.array_r
         self.x.x.scatter_forward()
+
+
+class LowRank:
+    """The dense part ``sum_i a_i s_i'^T`` of a tangent, by Woodbury's formula.
+
+    Args:
+        parts: the loads.
+    """
+
+    def __init__(self, parts: Sequence[RankOne]) -> None:
+        self._parts = tuple(parts)
+        self._solved: list[PETSc.Vec] = []
+        self._inverse: Any = None
+
+    def forget(self) -> None:
+        """The rest of the tangent has changed."""
+        self._inverse = None
+
+    def correct(self, x: PETSc.Vec, solver: PreparedSolver) -> int:
+        """Make a solution without the dense part one with it.
+
+        Args:
+            x: solution of the system without it, overwritten.
+            solver: of that system.
+
+        Returns:
+            Linear iterations.
+        """
+        iterations = 0
+        slopes = [part.slope() for part in self._parts]
+        if not self._solved:
+            self._solved = [x.duplicate() for _ in self._parts]
+            compat.freed_with(self, *self._solved)
+        if self._inverse is None:
+            for part, solved in zip(self._parts, self._solved, strict=True):
+                iterations += solver.solve(part.load(), solved)
+            products = np.array([[slope.dot(solved) for solved in self._solved] for slope in slopes])
+            self._inverse = np.linalg.inv(np.eye(len(slopes)) + products)
+        for factor, solved in zip(self._inverse @ [slope.dot(x) for slope in slopes], self._solved, strict=True):
+            x.axpy(-factor, solved)
+        return iterations
 
 
 @dataclass(frozen=True)
@@ -141,12 +256,15 @@ class NewtonReport:
     Attributes:
         norms: residual norms, from the initial one to the accepted one.
         linear_iterations: iterations of the linear solver, one entry per step.
-        step_lengths: multiples of the increments that were subtracted, one entry per step; 1 without a line search.
+        step_lengths: multiples of the increments that were subtracted, one entry per step; 1 without a line search, 0
+            where a kept tangent made things worse.
+        tangents: number of tangents that were assembled.
     """
 
     norms: tuple[float, ...]
     linear_iterations: tuple[int, ...]
     step_lengths: tuple[float, ...]
+    tangents: int
 
 
 def newton(
@@ -157,6 +275,7 @@ def newton(
     max_iterations: int = 20,
     reference: float | None = None,
     line_search: LineSearch | None = None,
+    keep: float | None = None,
 ) -> NewtonReport:
     """Newton's method; the residual is tested before every solve.
 
@@ -170,6 +289,9 @@ def newton(
         line_search: shortens steps that make things worse; None: full steps. It widens what converges, but slows what
             converges over a passing rise of the residual: thin shells. (An elastica with P L^2/(E I) = 4 and
             thickness L/100 takes 43 steps instead of 16.)
+        keep: a tangent, with its factors, is kept from step to step, and from the last call, while every step with it
+            reduces the residual at least by this factor in (0, 1). A step that makes things worse is taken back. None:
+            a new tangent for every step.
 
     Returns:
         The report.
@@ -180,22 +302,33 @@ def newton(
             last iterate. Or the line search failed: the state is then the iterate from which it searched.
     """
     checks.whole("max_iterations", max_iterations, 0)
+    if keep is not None:
+        checks.within("keep", keep, 0.0, 1.0)
     norm = system.assemble_residual()
     scale = norm if reference is None else checks.not_negative("reference", reference)
     target = max(checks.not_negative("rtol", rtol) * scale, checks.not_negative("atol", atol))
-    norms, linear, steps = [norm], list[int](), list[float]()
+    norms, linear, steps, tangents = [norm], list[int](), list[float](), 0
+    kept = keep is not None and system.has_tangent
     while math.isfinite(norm) and norm > target:
         if len(steps) == max_iterations:
             raise SolveError(f"Newton did not converge in {max_iterations} iterations: residuals {norms}")
-        system.assemble_tangent()
+        if not kept:
+            system.assemble_tangent()
+            tangents += 1
         increment = system.solve()
         linear.append(int(getattr(system, "iterations", 1)))
-        step, norm = _move(system, increment, norm, line_search)
+        step, new = _move(system, increment, norm, line_search)
+        if kept and not new < norm:
+            increment.scale(-step)
+            system.subtract(increment)
+            step, new = 0.0, system.assemble_residual()
+        kept = keep is not None and new < keep * norm
         steps.append(step)
-        norms.append(norm)
+        norms.append(new)
+        norm = new
     if not math.isfinite(norm):
         raise SolveError(f"Newton iteration {len(steps)}: the residual is not finite")
-    return NewtonReport(tuple(norms), tuple(linear), tuple(steps))
+    return NewtonReport(tuple(norms), tuple(linear), tuple(steps), tangents)
 
 
 def _move(system: System, increment: PETSc.Vec, norm: float, line_search: LineSearch | None) -> tuple[float, float]:

@@ -96,7 +96,7 @@ class SplineSpace:
         compat.free_dropped(domain.comm)
         self.mesh = domain
         self.parts = tuple((functions, checks.whole("size", size, 1)) for functions, size in parts)
-        simplices = compat.cell_name(domain) in ("triangle", "tetrahedron")
+        simplices = compat.is_simplex(domain)
         shapes = [(lagrange_degree(functions.degrees, simplices), size) for functions, size in self.parts]
         if len(shapes) == 1:
             self.V = compat.lagrange_space(domain, *shapes[0])

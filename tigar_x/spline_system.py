@@ -66,6 +66,11 @@ class SplineSystem:
         self.iterations = 0
 
     @property
+    def has_tangent(self) -> bool:
+        """Whether a tangent has been assembled."""
+        return self._A is not None
+
+    @property
     def A(self) -> PETSc.Mat:
         """Extracted tangent of the last :meth:`assemble_tangent`."""
         if self._A is None:

@@ -15,11 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,24 @@ def backward_euler(order: int = 1) -> Scheme:
     """
     checks.choice("order", order, (1, 2))
     return Scheme(order, 1.0, 1.0, a0=1.0, a1=0.0, b0=float(order == 2))
+
+
+def companion(scheme: Scheme) -> Scheme:
+    """Second-order scheme at the level of a first-order one, for what moves along with the unknown of the latter.
+
+    Args:
+        scheme: first-order scheme.
+
+    Returns:
+        The scheme of order 2 with the same levels and the same relation of the two highest rates.
+
+    Raises:
+        ValueError: the scheme has another order.
+    """
+    checks.choice("order of scheme", scheme.order, (1,))
+    if scheme.alpha_f == scheme.alpha_m == 1.0:
+        return backward_euler(2)
+    return generalized_alpha(1.0 / scheme.alpha_f - 1.0, 2, first_order_alpha_m=True)
 
 
 class TimeIntegrator:
@@ -195,8 +214,7 @@ class TimeIntegrator:
     @property
     def x_alpha(self) -> Any:
         """Unknown at the intermediate level; algebraic components are those of x itself."""
-        a = self._c["alpha_f"]
-        mean = a * self.x + (1 - a) * self.x_old
+        mean = self.at_level(self.x)
         if not self._algebraic:
             return mean
         return ufl.as_vector([self.x[i] if i in self._algebraic else mean[i] for i in range(self.x.ufl_shape[0])])
@@ -216,6 +234,27 @@ class TimeIntegrator:
         a = c["alpha_m"]
         xddot = c["b0"] / self.dt * (self.xdot - self.xdot_old) + c["b1"] * self.xddot_old
         return a * xddot + (1 - a) * self.xddot_old
+
+    def at_level(self, x: Any) -> Any:
+        """Any expression of x_{n+1} brought to the intermediate level with x_n.
+
+        Args:
+            x: UFL expression of the unknown's shape.
+        """
+        a = self._c["alpha_f"]
+        return a * x + (1 - a) * self.x_old
+
+    def x_from_rate(self, xdot: Any) -> Any:
+        """The x_{n+1} that has a given rate at the end of the step, as UFL expression.
+
+        Args:
+            xdot: rate, UFL expression of the unknown's shape.
+        """
+        c = self._c
+        slope = xdot - c["a1"] * self.xdot_old
+        if self.scheme.order == 2:
+            slope = slope - c["a2"] * self.dt * self.xddot_old
+        return self.x_old + self.dt / c["a0"] * slope
 
     # -- the same on arrays -------------------------------------------------------------------------------------------
 
@@ -239,6 +278,19 @@ class TimeIntegrator:
         a = self.scheme.alpha_m if self.scheme.order == 1 else self.scheme.alpha_f
         return a * self.rates()[0] + (1.0 - a) * self.xdot_old.x.array
 
+    def x_from_rate_array(self, xdot: FloatArray, dofs: IntArray) -> FloatArray:
+        """:meth:`x_from_rate` at some dofs.
+
+        Args:
+            xdot: rates, of any shape.
+            dofs: local dofs, of the same shape.
+        """
+        s, h = self.scheme, self.step_size
+        slope = xdot - s.a1 * self.xdot_old.x.array[dofs]
+        if s.order == 2:
+            slope -= s.a2 * h * self.xddot_old.x.array[dofs]
+        return np.asarray(self.x_old.x.array[dofs] + h / s.a0 * slope)
+
     @property
     def x_factor(self) -> float:
         """Derivative of x_alpha with respect to x."""
@@ -260,6 +312,10 @@ class TimeIntegrator:
             slope = (1.0 - s.a1) * self.xdot_old.x.array - s.a2 * h * self.xddot_old.x.array
             self.x.x.array[:] += h / s.a0 * slope
 
+    def restore(self) -> None:
+        """Put x back to the last accepted state; the clock has not moved."""
+        self.x.x.array[:] = self.x_old.x.array
+
     def advance(self) -> None:
         """Accept x as the state at t_{n+1} and move the clock."""
         rates = self.rates()
@@ -270,7 +326,7 @@ class TimeIntegrator:
         self._t_n += self.step_size
         self._set_clock()
 
-    def initial_form(self, residual: ufl.Form) -> tuple[ufl.Form, fem.Function]:
+    def initial_form(self, residual: ufl.Form, *others: "TimeIntegrator") -> tuple[ufl.Form, fem.Function]:
         """What a consistent start has to solve.
 
         With a zero initial rate a scheme with rho_infinity < 1 is only first-order accurate. The returned form is the
@@ -280,6 +336,7 @@ class TimeIntegrator:
 
         Args:
             residual: residual built from this integrator's expressions.
+            others: integrators of other fields in the residual, which are taken at t_n as they are.
 
         Returns:
             The residual at t_n and its unknown.
@@ -293,7 +350,8 @@ class TimeIntegrator:
         highest = self.xdot_old if self.scheme.order == 1 else self.xddot_old
         zero = ufl.as_ufl(0.0)
         at_t_n: dict[Any, Any] = {self.x: state, highest: unknown, self.t_alpha: self.t - self.dt}
-        at_t_n |= {self._c["alpha_f"]: zero, self._c["alpha_m"]: zero}
+        for integrator in (self, *others):
+            at_t_n |= {integrator._c["alpha_f"]: zero, integrator._c["alpha_m"]: zero}
         return ufl.replace(residual, at_t_n), unknown
 
     def start(self, unknown: fem.Function) -> None:

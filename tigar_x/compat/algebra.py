@@ -133,6 +133,66 @@ def apply_values(function: fem.Function, bcs: Sequence[Any]) -> None:
         function.x.scatter_forward()
 
 
+def nodes_on_facets(space: fem.FunctionSpace, facets: IntArray) -> IntArray:
+    """Nodes (block dofs) of a scalar or blocked Lagrange space on facets (collective), sorted.
+
+    Args:
+        space: the space.
+        facets: local facets of this rank.
+    """
+    domain = space.mesh
+    dim = domain.topology.dim - 1
+    domain.topology.create_connectivity(dim, dim + 1)
+    return np.sort(fem.locate_dofs_topological(space, dim, facets)).astype(np.int32)
+
+
+def prescribed_component(space: fem.FunctionSpace, component: int, facets: IntArray) -> tuple[fem.Function, Any]:
+    """Strong condition on one component of a blocked or mixed space on facets (collective).
+
+    Args:
+        space: the space.
+        component: index of the component.
+        facets: local facets of this rank.
+
+    Returns:
+        The function whose values are prescribed, zero at first, and a dolfinx boundary condition.
+    """
+    domain = space.mesh
+    dim = domain.topology.dim - 1
+    domain.topology.create_connectivity(dim, dim + 1)
+    view = component_view(space, component)
+    values = fem.Function(component_space(space, component)[0])
+    dofs = fem.locate_dofs_topological((view, values.function_space), dim, facets)
+    return values, fem.dirichletbc(values, dofs, view)
+
+
+def fixed_component(space: fem.FunctionSpace, component: int, dofs: IntArray) -> Any:
+    """Strong condition that makes one component zero at given dofs.
+
+    Args:
+        space: blocked or mixed space.
+        component: index of the component.
+        dofs: local indices in the array of a function of the space.
+
+    Returns:
+        A dolfinx boundary condition.
+    """
+    return fem.dirichletbc(PETSc.ScalarType(0.0), np.sort(dofs).astype(np.int32), component_view(space, component))
+
+
+def fixed_nodes(space: fem.FunctionSpace, nodes: IntArray) -> Any:
+    """Strong condition that holds all components of a scalar or blocked space at given nodes.
+
+    Args:
+        space: the space.
+        nodes: local block dofs.
+
+    Returns:
+        A dolfinx boundary condition.
+    """
+    return fem.dirichletbc(fem.Function(space), nodes)
+
+
 def pin_component(
     space: fem.FunctionSpace, component: int, where: Callable[[FloatArray], NDArray[np.bool_]], value: float = 0.0
 ) -> Any:

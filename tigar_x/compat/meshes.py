@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
-from dolfinx import geometry, mesh
-from numpy.typing import ArrayLike
+from dolfinx import geometry, la, mesh
+from numpy.typing import ArrayLike, NDArray
 
 from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
 
@@ -17,6 +17,9 @@ if VERSION < (0, 9):
         nodes = ufl.FiniteElement("Lagrange", cell, 1, variant="equispaced")
         return {"domain": ufl.Mesh(ufl.VectorElement(nodes, dim=dim))}
 
+    def _partitioner(comm: MPI.Comm) -> dict[str, Any]:
+        return {}
+
     _tree, _collisions = geometry.BoundingBoxTree, geometry.compute_collisions
 else:
     import basix.ufl
@@ -24,7 +27,23 @@ else:
     def _coordinates(cell: str, dim: int) -> dict[str, Any]:
         return {"e": ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(dim,)))}
 
+    def _partitioner(comm: MPI.Comm) -> dict[str, Any]:
+        if comm.size == 1:
+            return {}
+        mode = (mesh.GhostMode.shared_facet,) if VERSION < (0, 11) else (mesh.GhostMode.shared_facet, 2)
+        return {"partitioner": mesh.create_cell_partitioner(*mode)}
+
     _tree, _collisions = geometry.bb_tree, geometry.compute_collisions_points  # type: ignore[attr-defined]
+
+
+_VERTICES = {
+    "interval": (2, 1),
+    "triangle": (3, 2),
+    "quadrilateral": (4, 2),
+    "tetrahedron": (4, 3),
+    "hexahedron": (8, 4),
+}
+"""How many vertices a cell has, and each of its facets."""
 
 
 def cell_name(domain: mesh.Mesh) -> str:
@@ -32,8 +51,13 @@ def cell_name(domain: mesh.Mesh) -> str:
     return domain.topology.cell_type.name
 
 
+def is_simplex(domain: mesh.Mesh) -> bool:
+    """Whether the mesh's cells are triangles or tetrahedra."""
+    return cell_name(domain) in ("triangle", "tetrahedron")
+
+
 def create_mesh(comm: MPI.Comm, cell: str, cells: ArrayLike, x: ArrayLike) -> mesh.Mesh:
-    """Mesh of affine or multilinear cells from arrays.
+    """Mesh of affine or multilinear cells from arrays; ranks know the cells across the facets of their own.
 
     Args:
         comm: communicator; rank 0 gives the whole mesh, the other ranks give empty arrays of the same width.
@@ -45,14 +69,62 @@ def create_mesh(comm: MPI.Comm, cell: str, cells: ArrayLike, x: ArrayLike) -> me
         The distributed mesh.
     """
     points = np.asarray(x, dtype=np.float64)
-    coordinates = _coordinates(cell, points.shape[1])
-    return mesh.create_mesh(comm, cells=np.asarray(cells, dtype=np.int64), x=points, **coordinates)
+    how = _coordinates(cell, points.shape[1]) | _partitioner(comm)
+    return mesh.create_mesh(comm, cells=np.asarray(cells, dtype=np.int64), x=points, **how)
 
 
 def cell_vertices(domain: mesh.Mesh) -> FloatArray:
     """Coordinates of the vertices of all local cells, shape (cells, vertices, geometric dimension)."""
-    dofs = domain.geometry.dofmap if VERSION < (0, 11) else domain.geometry.dofmaps[0]
-    return domain.geometry.x[table(dofs)][:, :, : domain.geometry.dim]
+    return domain.geometry.x[cell_nodes(domain)][:, :, : domain.geometry.dim]
+
+
+def cell_nodes(domain: mesh.Mesh) -> IntArray:
+    """Nodes of the geometry of all local cells, its vertices first, shape (cells, nodes per cell)."""
+    nodes = domain.geometry.dofmap if VERSION < (0, 11) else domain.geometry.dofmaps[0]
+    empty = VERSION < (0, 9) and nodes.num_nodes == 0
+    return np.zeros((0, _VERTICES[cell_name(domain)][0]), dtype=np.int32) if empty else table(nodes)
+
+
+def facet_nodes(domain: mesh.Mesh) -> IntArray:
+    """Nodes of the geometry at the vertices of all local facets, shape (facets, vertices per facet)."""
+    dim, (in_cell, in_facet) = domain.topology.dim, _VERTICES[cell_name(domain)]
+    cells = connectivity(domain, dim, 0).array.reshape(-1, in_cell)
+    node = np.zeros(cells.max(initial=-1) + 1, dtype=np.int32)
+    node[cells] = cell_nodes(domain)[:, :in_cell]
+    return node[connectivity(domain, dim - 1, 0).array.reshape(-1, in_facet)]
+
+
+def connectivity(domain: mesh.Mesh, dim: int, other: int) -> Any:
+    """Adjacency list from the entities of one dimension to those of another; both are made when they are missing."""
+    topology = domain.topology
+    for d in (dim, other):
+        topology.create_entities(d)
+    topology.create_connectivity(dim, other)
+    return topology.connectivity(dim, other)
+
+
+def exterior_facets(domain: mesh.Mesh) -> IntArray:
+    """Local facets on the boundary of the mesh, ghosts as well, sorted; the ranks ask each other which they are."""
+    dim = domain.topology.dim - 1
+    connectivity(domain, dim, dim + 1)
+    marks: Any = la.vector(domain.topology.index_map(dim))
+    marks.array[:] = 0.0
+    marks.array[mesh.exterior_facet_indices(domain.topology)] = 1.0
+    marks.scatter_forward()
+    return np.flatnonzero(marks.array).astype(np.int32)
+
+
+def input_numbers(domain: mesh.Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers that the local cells and the local nodes of the geometry had in the arrays the mesh was made from."""
+    cells, nodes = domain.topology.original_cell_index, domain.geometry.input_global_indices
+    return np.asarray(cells, dtype=np.int64), np.asarray(nodes, dtype=np.int64)
+
+
+def global_nodes(domain: mesh.Mesh) -> tuple[NDArray[np.int64], int]:
+    """Global numbers of the local nodes of the geometry, and how many of them this rank owns; those come first."""
+    map = domain.geometry.index_map()
+    local = np.arange(map.size_local + map.num_ghosts, dtype=np.int32)
+    return np.asarray(map.local_to_global(local), dtype=np.int64), int(map.size_local)
 
 
 def owned_cells(domain: mesh.Mesh) -> int:
@@ -78,3 +150,17 @@ def candidate_cells(tree: Any, points: FloatArray) -> tuple[IntArray, IntArray]:
     """
     hits = _collisions(tree, points)
     return hits.array, hits.offsets
+
+
+def cells_of_points(domain: mesh.Mesh, points: FloatArray) -> IntArray:
+    """A cell of this rank that contains each point, -1 where there is none, shape (n,).
+
+    Args:
+        domain: mesh.
+        points: shape (n, geometric dimension).
+    """
+    x = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    near = _collisions(bounding_box_tree(domain, 1e-10), x)
+    inside = geometry.compute_colliding_cells(domain, near, x)
+    array, offsets = inside.array, inside.offsets
+    return np.array([array[i] if i < j else -1 for i, j in zip(offsets, offsets[1:], strict=False)], dtype=np.int32)

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 import ufl
+import ufl.corealg.traversal
 from dolfinx import fem, mesh
 
 from tigar_x.compat.forms import JIT, compiling
-from tigar_x.compat.meshes import cell_name, owned_cells
+from tigar_x.compat.meshes import cell_name, is_simplex, owned_cells
 from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
 
 # Nodes lie at Gauss-Lobatto-Legendre points, which is the default of all releases.
@@ -135,6 +136,20 @@ def tabulate(space: fem.FunctionSpace, points: FloatArray) -> FloatArray:
     return _scalar_element(space).tabulate(0, points)[0].reshape(len(points), -1)
 
 
+def tabulate_gradients(space: fem.FunctionSpace, points: FloatArray) -> FloatArray:
+    """Derivatives of the scalar basis functions of a Lagrange space by the reference coordinates.
+
+    Args:
+        space: scalar or blocked Lagrange space on a simplex or tensor cell.
+        points: reference coordinates, shape (n, topological dimension).
+
+    Returns:
+        Values, shape (n, dofs per cell, topological dimension).
+    """
+    derivatives = np.asarray(_scalar_element(space).tabulate(1, points))[1:]
+    return np.moveaxis(derivatives.reshape(points.shape[1], len(points), -1), 0, -1)
+
+
 def node_points(space: fem.FunctionSpace) -> FloatArray:
     """Reference coordinates of the nodes of a Lagrange space, shape (dofs per cell, topological dimension)."""
     points = space.element.interpolation_points
@@ -153,7 +168,7 @@ def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
     """
     reference = node_points(space)
     dim = reference.shape[1]
-    if cell_name(space.mesh) in ("triangle", "tetrahedron"):
+    if is_simplex(space.mesh):
         from scipy.spatial import Delaunay
 
         kind, local = ("triangle", "tetra")[dim - 2], Delaunay(reference).simplices
@@ -169,6 +184,43 @@ def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
     return kind, dofs[:, local].reshape(-1, local.shape[1])
 
 
+class Interpolation:
+    """Interpolation of a UFL expression, compiled once and repeated as often as what is in it has changed.
+
+    Args:
+        function: target, in a Lagrange space.
+        expression: UFL expression of the same value shape.
+        cells: local cells to whose nodes it is restricted; None: all.
+    """
+
+    def __init__(self, function: fem.Function, expression: Any, cells: IntArray | None = None) -> None:
+        self._function = function
+        self._cells = cells
+        self._numbers: FloatArray | None = None
+        if _has_domain(expression):
+            points = node_points(function.function_space)
+            with compiling():
+                self._compiled = fem.Expression(expression, points, **JIT)
+        else:
+            shape = expression.ufl_shape
+            self._numbers = np.array([float(expression[i]) for i in range(shape[0])] if shape else float(expression))
+
+    def __call__(self) -> None:
+        """Interpolate (collective)."""
+        if self._numbers is not None:
+            self._function.x.array.reshape(-1, self._numbers.size)[:] = self._numbers
+            return
+        arguments = () if self._cells is None else (self._cells,)
+        self._function.interpolate(self._compiled, *arguments)
+        self._function.x.scatter_forward()
+
+
+def _has_domain(expression: Any) -> bool:
+    """Whether there is anything but numbers in an expression."""
+    known = (ufl.Coefficient, ufl.Constant, ufl.classes.GeometricQuantity)
+    return any(isinstance(leaf, known) for leaf in ufl.corealg.traversal.traverse_unique_terminals(expression))
+
+
 def interpolate(function: fem.Function, expression: Any) -> None:
     """Interpolate a UFL expression into ``function`` (collective on its mesh).
 
@@ -176,8 +228,4 @@ def interpolate(function: fem.Function, expression: Any) -> None:
         function: target, in a Lagrange space.
         expression: UFL expression of the same value shape.
     """
-    points = node_points(function.function_space)
-    with compiling():
-        compiled = fem.Expression(expression, points, **JIT)
-    function.interpolate(compiled)
-    function.x.scatter_forward()
+    Interpolation(function, expression)()

@@ -1,0 +1,266 @@
+"""Meshes that gmsh makes on rank 0."""
+
+import inspect
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from tigar_x import checks
+from varmint.mesh import NamedMesh
+from varmint.mesh_arrays import distributed
+from varmint.mesh_checks import MeshArrays, extruded
+from varmint.mesh_elements import Block, Elements
+
+KINDS = {1: "line", 2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 15: "vertex"}
+"""meshio's names of gmsh's linear elements."""
+GROWTH = 0.25
+"""By how much cells grow per unit of length away from the cylinder."""
+
+
+def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMesh:
+    """Mesh of a geometry that is built by gmsh.
+
+    Args:
+        comm: communicator; only rank 0 calls gmsh.
+        build: function of the module gmsh, which has been initialized with an empty model; it makes the geometry, its
+            physical groups of dimensions ``dim`` and ``dim`` - 1, and settings. It may make the mesh as well.
+        dim: dimension of the cells, 2 or 3.
+
+    Returns:
+        The mesh; physical groups become groups of cells and facets, by their names or else their numbers. Where some
+        cells are in physical groups, the others are left out, as gmsh does in its files.
+
+    Raises:
+        ValueError: on all ranks: another dimension, nothing of this dimension, what is in two physical groups, or
+            what :func:`varmint.mesh_checks.checked_arrays` raises. All ranks also raise what ``build`` and gmsh do.
+        RuntimeError: gmsh is in use.
+    """
+    checks.choice("dim", dim, (2, 3))
+
+    def elements() -> Elements:
+        with _session() as gmsh:
+            build(gmsh)
+            return _meshed(gmsh, dim, "the model of build")
+
+    return distributed(comm, lambda: elements().arrays())
+
+
+def channel_with_cylinder(
+    comm: MPI.Comm,
+    *,
+    length: float = 2.2,
+    height: float = 0.41,
+    center: Sequence[float] = (0.2, 0.2),
+    radius: float = 0.05,
+    size: float = 0.02,
+    cylinder_size: float | None = None,
+    wake_size: float | None = None,
+    beam: tuple[float, float] | None = None,
+    depth: float | None = None,
+) -> NamedMesh:
+    """Channel (0, length) x (0, height) with a cylinder across it, and a beam behind the cylinder if one is wanted.
+
+    The default is the channel of Schaefer and Turek, doi:10.1007/978-3-322-89849-4_39; with ``length=2.5`` and
+    ``beam=(0.35, 0.02)`` it is that of Turek and Hron, doi:10.1007/3-540-34596-5_15.
+
+    Args:
+        comm: communicator.
+        length: of the channel; unit: length, as for all that follows.
+        height: of the channel.
+        center: of the cylinder, shape (2,).
+        radius: of the cylinder.
+        size: of the cells away from the cylinder.
+        cylinder_size: of the cells at the cylinder and the beam, from where they grow; None: a quarter of ``size``,
+            and at most half of the beam's thickness.
+        wake_size: of the cells up to two radii from the axis between the cylinder and the outlet; None: not refined.
+        beam: length, from the rearmost point of the cylinder to its tip, and thickness; its root is an arc of the
+            cylinder. None: no beam.
+        depth: extent along the third axis, for tetrahedra over the triangles; None: a plane mesh.
+
+    Returns:
+        Mesh with the groups of facets "inlet", "outlet", "walls" and "cylinder", and with a depth "back" and "front".
+        With a beam "cylinder" is what the fluid touches; further groups are "beam_root" on the cylinder and "interface"
+        between the groups of cells "fluid" and "solid".
+
+    Raises:
+        ValueError: a length that is not positive, cells that are to be larger at the cylinder or in the wake than
+            away, a cylinder or a beam that is not within the channel, or a beam that is not thinner than the cylinder.
+        RuntimeError: gmsh is in use.
+    """
+    x, y = _check_channel(length, height, center, radius, beam, depth)
+    checks.positive("size", size)
+    thin = size if beam is None else beam[1]
+    fine = min(size / 4.0, thin / 2.0) if cylinder_size is None else checks.positive("cylinder_size", cylinder_size)
+    wake = size if wake_size is None else checks.positive("wake_size", wake_size)
+    for name, value in (("cylinder_size", fine), ("wake_size", wake)):
+        if value > size:
+            raise ValueError(f"{name} = {value!r}: a number up to size = {size!r} is required")
+    tip = None if beam is None else (x + radius + beam[0], beam[1])
+    fields = [("Ball", fine, {"Radius": radius, "XCenter": x, "YCenter": y}), _zone(wake, x, length, y, 4.0 * radius)]
+    if tip is not None:
+        fields.append(_zone(fine, x, tip[0], y, tip[1]))
+
+    def arrays() -> MeshArrays:
+        with _session() as gmsh:
+            _build_channel(gmsh.model, (length, height), (x, y), radius, tip)
+            _set_sizes(gmsh, size, fields)
+            plane = _meshed(gmsh, 2, "the channel").arrays()
+        return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size)))
+
+    return distributed(comm, arrays)
+
+
+def _check_channel(
+    length: float, height: float, center: Sequence[float], radius: float, beam: Any, depth: float | None
+) -> tuple[float, float]:
+    """Center of a cylinder that is, with its beam, within the channel."""
+    lengths = {"length": length, "height": height, "radius": radius} | ({} if depth is None else {"depth": depth})
+    for name, value in lengths.items():
+        checks.positive(name, value)
+    x, y = checks.array("center", center, (2,))
+    if not min(x, length - x, y, height - y) > radius:
+        raise ValueError(f"center = {center!r}: a cylinder of radius {radius:g} within the channel is required")
+    if beam is not None:
+        l, h = checks.array("beam", beam, (2,))
+        longest, thickest = length - x - radius, 2.0 * radius
+        if not (0.0 < l < longest and 0.0 < h < thickest):
+            raise ValueError(
+                f"beam = {beam!r}: a length in (0, {longest:g}) and a thickness in (0, {thickest:g}) are required"
+            )
+    return float(x), float(y)
+
+
+def _zone(size: float, start: float, end: float, y: float, width: float) -> tuple[str, float, dict[str, float]]:
+    """Rectangle of cells of a size, along the first axis."""
+    return "Box", size, {"XMin": start, "XMax": end, "YMin": y - width / 2.0, "YMax": y + width / 2.0}
+
+
+def _build_channel(
+    model: Any, corner: tuple[float, float], center: tuple[float, float], radius: float, tip: tuple[float, float] | None
+) -> None:
+    """Geometry and groups; ``tip`` is where a beam ends along the first axis, and its thickness."""
+    geo, (x, y) = model.geo, center
+    corners = [geo.addPoint(a, b, 0.0) for a, b in ((0.0, 0.0), (corner[0], 0.0), corner, (0.0, corner[1]))]
+    bottom, outlet, top, inlet = (geo.addLine(corners[i], corners[(i + 1) % 4]) for i in range(4))
+    middle = geo.addPoint(x, y, 0.0)
+    half = 0.0 if tip is None else np.arcsin(tip[1] / (2.0 * radius))
+    angles = [half, 2.0 * np.pi / 3.0, 4.0 * np.pi / 3.0, *([] if tip is None else [-half])]
+    ring = [geo.addPoint(x + radius * np.cos(angle), y + radius * np.sin(angle), 0.0) for angle in angles]
+    arcs = [geo.addCircleArc(a, middle, b) for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
+    facets, cells = {"inlet": [inlet], "outlet": [outlet], "walls": [bottom, top], "cylinder": arcs}, {}
+    hole = arcs
+    if tip is not None:
+        *around, root = arcs
+        path = [ring[-1], *(geo.addPoint(tip[0], y + s * tip[1] / 2.0, 0.0) for s in (-1.0, 1.0)), ring[0]]
+        edges = [geo.addLine(a, b) for a, b in pairwise(path)]
+        hole = [*around, *edges]
+        facets |= {"cylinder": around, "beam_root": [root], "interface": edges}
+        cells["solid"] = [geo.addPlaneSurface([geo.addCurveLoop([*edges, -root])])]
+    fluid = geo.addPlaneSurface([geo.addCurveLoop([bottom, outlet, top, inlet]), geo.addCurveLoop(hole)])
+    if cells:
+        cells["fluid"] = [fluid]
+    geo.synchronize()
+    for dim, groups in ((1, facets), (2, cells)):
+        for name, tags in groups.items():
+            model.setPhysicalName(dim, model.addPhysicalGroup(dim, tags), name)
+
+
+def _set_sizes(gmsh: Any, size: float, fields: Sequence[tuple[str, float, dict[str, float]]]) -> None:
+    """Cells of a size, which are smaller in regions and grow away from them."""
+    field = gmsh.model.mesh.field
+    tags = []
+    for kind, small, shape in fields:
+        tags.append(field.add(kind))
+        for name, value in (shape | {"VIn": small, "VOut": size, "Thickness": (size - small) / GROWTH}).items():
+            field.setNumber(tags[-1], name, float(value))
+    smallest = field.add("Min")
+    field.setNumbers(smallest, "FieldsList", tags)
+    field.setAsBackgroundMesh(smallest)
+    for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
+        gmsh.option.setNumber(f"Mesh.{option}", 0)
+
+
+def geo_elements(path: Path) -> Elements:
+    """Elements of the mesh that gmsh makes of a .geo file, for this rank alone.
+
+    Args:
+        path: file name.
+
+    Raises:
+        ValueError: gmsh cannot read or mesh it; what :func:`from_gmsh` raises.
+        RuntimeError: gmsh is in use.
+    """
+    with _session() as gmsh:
+        try:
+            gmsh.open(str(path))
+            return _meshed(gmsh, max((dim for dim, _ in gmsh.model.getEntities()), default=0), str(path))
+        except ValueError:
+            raise
+        except Exception as error:  # gmsh raises nothing more special
+            raise ValueError(f"{path}: gmsh makes no mesh of it: {error}") from error
+
+
+@contextmanager
+def _session() -> Iterator[Any]:
+    """The module gmsh, initialized and quiet; the handler of interrupts stays what it is."""
+    handler = signal.getsignal(signal.SIGINT)
+    import gmsh
+
+    if getattr(gmsh, "isInitialized", int)():
+        raise RuntimeError("gmsh is in use: gmsh.finalize() is required before")
+    known = inspect.signature(gmsh.initialize).parameters
+    gmsh.initialize([], readConfigFiles=False, **({"interruptible": False} if "interruptible" in known else {}))
+    try:
+        _restore(handler)
+        gmsh.option.setNumber("General.Terminal", 0)
+        yield gmsh
+    finally:
+        gmsh.finalize()
+        _restore(handler)
+
+
+def _restore(handler: Any) -> None:
+    if handler is not None and signal.getsignal(signal.SIGINT) != handler:
+        signal.signal(signal.SIGINT, handler)
+
+
+def _meshed(gmsh: Any, dim: int, place: str) -> Elements:
+    """Elements of the current model, which is meshed unless it has been."""
+    if not gmsh.model.getEntities(dim):
+        raise ValueError(f"{place} has nothing of dimension {dim}: a geometry that is synchronized is required")
+    if not len(gmsh.model.mesh.getElements(dim)[0]):
+        gmsh.model.mesh.generate(dim)
+    tags, x, _ = gmsh.model.mesh.getNodes()
+    point = np.full(int(tags.max(initial=0)) + 1, -1, dtype=np.int64)
+    point[tags] = np.arange(len(tags))
+    blocks = []
+    for d, entity in gmsh.model.getEntities(dim) + gmsh.model.getEntities(dim - 1):
+        number = _group(gmsh, d, entity, place)
+        for kind, vertices in _elements(gmsh, d, entity):
+            blocks.append(Block(kind, point[vertices], np.full(len(vertices), number)))
+    if any(block.dimension == dim and block.numbers.any() for block in blocks):
+        blocks = [block for block in blocks if block.dimension < dim or block.numbers.any()]
+    labels = {(d, tag): gmsh.model.getPhysicalName(d, tag) for d, tag in gmsh.model.getPhysicalGroups()}
+    return Elements(place, np.reshape(x, (-1, 3)), blocks, {key: name for key, name in labels.items() if name})
+
+
+def _group(gmsh: Any, dim: int, entity: int, place: str) -> int:
+    groups = [int(group) for group in gmsh.model.getPhysicalGroupsForEntity(dim, entity)]
+    if len(groups) > 1:
+        names = " and ".join(gmsh.model.getPhysicalName(dim, abs(group)) or str(group) for group in groups)
+        raise ValueError(f"{place} has entity {entity} of dimension {dim} in groups {names}: one at most is required")
+    return groups[0] if groups else 0
+
+
+def _elements(gmsh: Any, dim: int, entity: int) -> Iterator[tuple[str, Any]]:
+    """Kind and vertices of the elements of an entity."""
+    kinds, _, nodes = gmsh.model.mesh.getElements(dim, entity)
+    for kind, flat in zip(kinds, nodes, strict=True):
+        name, _, _, count, *_ = gmsh.model.mesh.getElementProperties(kind)
+        yield KINDS.get(int(kind), name.lower()), np.asarray(flat, dtype=np.int64).reshape(-1, count)

@@ -1,0 +1,251 @@
+"""Quantities derived from a flow: forces, flow rates, energies, values at points, wall shear stress, vorticity.
+
+Functionals are UFL forms of the state at the end of a step; :class:`Measured` compiles some of them once and evaluates
+them as often as is wanted. Forces come from the equations themselves: the residual of the fluid tested with a unit
+velocity on the boundary, which converges faster than the integral of stresses (John and Matthies,
+doi:10.1002/fld.195, for the benchmark of a cylinder in a channel).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from dolfinx import fem
+from petsc4py import PETSc
+
+from tigar_x import checks, compat
+from tigar_x.compat import FloatArray
+from varmint import ale
+from varmint.flow import Flow
+from varmint.space import split
+
+
+def _velocity(flow: Flow) -> Any:
+    return split(flow.w)[0]
+
+
+def _in_fluid(flow: Flow, integrand: Any) -> ufl.Form:
+    cells = flow.fluid_cells
+    return ale.per_volume(integrand, flow.fields.motion_end) * flow.mesh.dx(*cells, degree=flow.fields.degree + 1)
+
+
+def flow_rate(flow: Flow, *names: str) -> ufl.Form:
+    """``int v . n`` over facet groups, positive outwards; unit: volume/time.
+
+    Args:
+        flow: the flow.
+        names: facet groups.
+    """
+    domain, motion = flow.mesh.domain, flow.fields.motion_end
+    flux = ufl.dot(_velocity(flow), ale.normal(domain, motion))
+    return ale.per_area(flux, domain, motion) * flow.mesh.ds(*names, degree=flow.fields.degree)
+
+
+def area(flow: Flow, *names: str) -> ufl.Form:
+    """Present area of facet groups.
+
+    Args:
+        flow: the flow.
+        names: facet groups.
+    """
+    domain = flow.mesh.domain
+    one = fem.Constant(domain, 1.0)
+    return ale.per_area(one, domain, flow.fields.motion_end) * flow.mesh.ds(*names, degree=flow.fields.degree)
+
+
+def volume(flow: Flow) -> ufl.Form:
+    """Present volume of the fluid.
+
+    Args:
+        flow: the flow.
+    """
+    return _in_fluid(flow, fem.Constant(flow.mesh.domain, 1.0))
+
+
+def kinetic_energy(flow: Flow) -> ufl.Form:
+    """``int rho/2 |v|^2``; unit: energy.
+
+    Args:
+        flow: the flow.
+    """
+    v = _velocity(flow)
+    return _in_fluid(flow, flow.rho / 2 * ufl.dot(v, v))
+
+
+def dissipation(flow: Flow) -> ufl.Form:
+    """Power that the resolved flow loses to viscosity, ``int 2 mu |sym(grad v)|^2``; unit: energy/time.
+
+    Args:
+        flow: the flow.
+    """
+    strain = ufl.sym(ale.gradient(_velocity(flow), flow.fields.motion_end))
+    return _in_fluid(flow, 2 * flow.mu * ufl.inner(strain, strain))
+
+
+def squared_divergence(flow: Flow) -> ufl.Form:
+    """``int (div v)^2``, the square of the norm of what is left of the divergence.
+
+    Args:
+        flow: the flow.
+    """
+    return _in_fluid(flow, ale.divergence(_velocity(flow), flow.fields.motion_end) ** 2)
+
+
+class Measured:
+    """Functionals, compiled once.
+
+    Args:
+        forms: functionals by name.
+    """
+
+    def __init__(self, **forms: ufl.Form) -> None:
+        self._forms = dict(zip(forms, compat.compile_forms(*forms.values()), strict=True))
+
+    def __call__(self) -> dict[str, float]:
+        """Present values by name (collective)."""
+        return {name: compat.assemble_scalar(form) for name, form in self._forms.items()}
+
+
+class BoundaryForce:
+    """Force of the fluid on facet groups, from the fluid's residual at the level of the equations.
+
+    In a step it belongs to the state before the clocks move, see ``measure`` of :meth:`varmint.flow.Flow.take_step`.
+
+    Args:
+        flow: the flow.
+        names: facet groups, of the boundary or between fluid and solid; a weak condition on them must be on no other.
+
+    Raises:
+        ValueError: no such group, or a condition that reaches beyond the groups.
+    """
+
+    def __init__(self, flow: Flow, *names: str) -> None:
+        self._d = flow.mesh.domain.geometry.dim
+        terms = []
+        for groups, form in flow.terms:
+            inside = [name in names for name in groups]
+            if any(inside) and not all(inside):
+                raise ValueError(
+                    f"names = {names!r}: one of them shares a condition with {groups!r}; conditions of their own are required"
+                )
+            if not any(inside) and groups != ("solid",):
+                terms.append(form)
+        (self._form,) = compat.compile_forms(sum(terms[1:], terms[0]))
+        self._b = compat.create_vector(flow.V)
+        compat.freed_with(self, self._b)
+        nodes = compat.nodes_on_facets(flow.V, flow.mesh.facets(*names))
+        self._nodes = nodes[nodes < flow.V.dofmap.index_map.size_local]
+        self._comm = flow.mesh.domain.comm
+
+    def __call__(self) -> FloatArray:
+        """Force of the fluid on the facets (collective), shape (d,); per unit depth in the plane."""
+        compat.assemble_vector(self._b, self._form)
+        self._b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        rows = self._b.array_r.reshape(-1, self._d + 1)[self._nodes, : self._d]
+        return -np.asarray(self._comm.allreduce(rows.sum(axis=0), op=MPI.SUM))
+
+
+class PointValues:
+    """Velocity and pressure at points of the mesh at rest.
+
+    Args:
+        flow: the flow.
+        points: shape (n, d).
+
+    Raises:
+        ValueError: a point lies in no cell.
+    """
+
+    def __init__(self, flow: Flow, points: Sequence[Sequence[float]] | FloatArray) -> None:
+        d = flow.mesh.domain.geometry.dim
+        self._function = flow.w
+        self._comm = flow.mesh.domain.comm
+        self.points = checks.array("points", points, (None, d))
+        cells = compat.cells_of_points(flow.mesh.domain, self.points)
+        owners = np.array(self._comm.allgather(cells)) >= 0
+        lost = ~owners.any(axis=0)
+        if lost.any():
+            raise ValueError(
+                f"points[{int(lost.argmax())}] = {self.points[lost.argmax()].tolist()}: a point of the mesh is required"
+            )
+        self._mine = owners.argmax(axis=0) == self._comm.rank
+        self._cells = cells[self._mine]
+
+    def __call__(self) -> FloatArray:
+        """Values (collective), shape (n, d + 1): velocity, then pressure."""
+        values = np.zeros((len(self.points), self.points.shape[1] + 1))
+        if self._mine.any():
+            x = np.pad(self.points[self._mine], ((0, 0), (0, 3 - self.points.shape[1])))
+            values[self._mine] = self._function.eval(x, self._cells).reshape(len(x), -1)
+        return np.asarray(self._comm.allreduce(values, op=MPI.SUM))
+
+
+class NodalField:
+    """An expression as a continuous linear field, by lumped projection.
+
+    Args:
+        flow: the flow.
+        name: of the field.
+        expression: UFL scalar or vector.
+        measure: what it is averaged over around every vertex; vertices that it does not reach are zero.
+        weight: factor of the measure, such as J on a moving mesh.
+
+    Attributes:
+        field: the function.
+    """
+
+    def __init__(self, flow: Flow, name: str, expression: Any, measure: ufl.Measure, weight: Any = 1.0) -> None:
+        shape = expression.ufl_shape
+        V = compat.lagrange_space(flow.mesh.domain, 1, shape[0] if shape else 1)
+        self.field = fem.Function(V, name=name)
+        z = ufl.TestFunction(V)
+        ones = z if not shape else sum(z[i] for i in range(shape[0]))
+        self._load, self._mass = compat.compile_forms(
+            weight * ufl.inner(expression, z) * measure, weight * ones * measure
+        )
+        self._b = [compat.create_vector(V) for _ in range(2)]
+        compat.freed_with(self, *self._b)
+
+    def __call__(self) -> fem.Function:
+        """Project the present state (collective)."""
+        for vector, form in zip(self._b, (self._load, self._mass), strict=True):
+            compat.assemble_vector(vector, form)
+            vector.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        load, mass = (vector.array_r for vector in self._b)
+        reached = mass > 0.0
+        self.field.x.array[: len(load)] = np.where(reached, load / np.where(reached, mass, 1.0), 0.0)
+        self.field.x.scatter_forward()
+        return self.field
+
+
+def vorticity(flow: Flow) -> NodalField:
+    """Curl of the velocity, a scalar in the plane; unit: 1/time.
+
+    Args:
+        flow: the flow.
+    """
+    motion = flow.fields.motion_end
+    g = ale.gradient(_velocity(flow), motion)
+    if flow.mesh.domain.geometry.dim == 2:
+        curl: Any = g[1, 0] - g[0, 1]
+    else:
+        curl = ufl.as_vector([g[2, 1] - g[1, 2], g[0, 2] - g[2, 0], g[1, 0] - g[0, 1]])
+    weight = 1.0 if motion is None else ufl.det(motion.F)
+    return NodalField(flow, "vorticity", curl, flow.mesh.dx(*flow.fluid_cells, degree=flow.fields.degree), weight)
+
+
+def wall_shear_stress(flow: Flow, *names: str) -> NodalField:
+    """Tangential part of the viscous traction of the fluid on boundary facets; unit: force/area.
+
+    Args:
+        flow: the flow.
+        names: facet groups of the boundary.
+    """
+    domain, motion = flow.mesh.domain, flow.fields.motion_end
+    n = ale.normal(domain, motion)
+    traction = -2 * flow.mu * ufl.sym(ale.gradient(_velocity(flow), motion)) * n
+    shear = traction - ufl.dot(traction, n) * n
+    measure = flow.mesh.ds(*names, degree=flow.fields.degree)
+    return NodalField(flow, "wall_shear_stress", shear, measure, ale.per_area(1.0, domain, motion))
