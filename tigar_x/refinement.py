@@ -139,18 +139,20 @@ def doubled(elements: int, levels: int) -> tuple[int, ...]:
 
 
 def refine(
-    solve: Callable[[int], S],
+    solve: Callable[[Any], S],
     errors: Callable[[S], Mapping[str, float]],
     elements: Sequence[int],
     expected: Mapping[str, float],
+    prepare: Callable[[int], Any] | None = None,
 ) -> tuple[Study, S]:
     """Solve on finer and finer meshes; only ``solve`` is timed.
 
     Args:
-        solve: from the number of elements per direction to a solution.
+        solve: from the number of elements per direction, or from what ``prepare`` makes of it, to a solution.
         errors: from the solution to its errors by name.
         elements: numbers per direction from coarse to fine, see :func:`doubled`.
         expected: rates of theory by name of the error.
+        prepare: what is not to be timed, such as mesh and forms; None: nothing.
 
     Returns:
         The study, and the solution on the finest mesh.
@@ -160,9 +162,9 @@ def refine(
     """
     levels: list[Level] = []
     for n in elements:
-        watch = script.Stopwatch()
+        watch, problem = script.Stopwatch(), n if prepare is None else prepare(n)
         with watch:
-            solution = solve(n)
+            solution = solve(problem)
         memory = script.peak_rss_mib()
         levels.append(Level(n, solution.unknowns, errors(solution), watch.cpu_s, watch.wall_s, memory))
     return Study(tuple(levels), expected), solution

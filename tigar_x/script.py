@@ -124,14 +124,18 @@ class Progress:
         """Show where the run is.
 
         Args:
-            report: the step's report with ``t``, ``passes`` and ``residuals``.
+            report: the step's report with ``t``, ``passes`` and ``residuals``, or a text.
         """
         if self._rank:
             return
         if not self._bar and self._done % self._every and self._done < self._n:
             return
-        residuals = ", ".join(f"{r:.1e}" for r in report.residuals[-1])
-        text = f"step {self._done}/{self._n}  t = {report.t:.4g}  passes {report.passes}  residuals {residuals}"
+        text = f"step {self._done}/{self._n}  "
+        if isinstance(report, str):
+            text += report
+        else:
+            residuals = ", ".join(f"{r:.1e}" for r in report.residuals[-1])
+            text += f"t = {report.t:.4g}  passes {report.passes}  residuals {residuals}"
         if not self._bar:
             log.info(text)
             return

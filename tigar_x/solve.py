@@ -3,6 +3,7 @@
 Increments are subtracted throughout: ``K dx = R``, ``x <- x - dx``.
 """
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
+
+log = logging.getLogger(__name__)
 
 
 class System(Protocol):
@@ -276,6 +279,7 @@ def newton(
     reference: float | None = None,
     line_search: LineSearch | None = None,
     keep: float | None = None,
+    stalled: float = 1.0,
 ) -> NewtonReport:
     """Newton's method; the residual is tested before every solve.
 
@@ -292,6 +296,8 @@ def newton(
         keep: a tangent, with its factors, is kept from step to step, and from the last call, while every step with it
             reduces the residual at least by this factor in (0, 1). A step that makes things worse is taken back. None:
             a new tangent for every step.
+        stalled: multiple of the accepted residual that is accepted as well where the line search finds nothing better:
+            rounding ends there what the tolerances ask for. (The limit of iterations stays an error.)
 
     Returns:
         The report.
@@ -317,7 +323,15 @@ def newton(
             tangents += 1
         increment = system.solve()
         linear.append(int(getattr(system, "iterations", 1)))
-        step, new = _move(system, increment, norm, line_search)
+        try:
+            step, new = _move(system, increment, norm, line_search)
+        except SolveError:
+            if norm > stalled * target:
+                raise
+            log.info("Newton stalls at %.2e of an accepted %.2e", norm, target)
+            steps.append(0.0)
+            norms.append(norm)
+            break
         if kept and not new < norm:
             increment.scale(-step)
             system.subtract(increment)

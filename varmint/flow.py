@@ -32,6 +32,16 @@ from varmint.vms import frozen_tangent, interior_residual
 
 log = logging.getLogger(__name__)
 
+STEP_RTOL = 1e-6
+"""Accepted residual of a step relative to its first one."""
+STEADY_RTOL = 1e-12
+"""Accepted residual of steady flow relative to its first one, which the penalty of weak conditions may dominate."""
+STALLED = 1e3
+"""Multiple of the accepted residual that is accepted as well where rounding keeps Newton's method from going on."""
+FACTOR, SMALLEST_FACTOR, HIGHEST_FACTOR = 4.0, 1.1, 1e9
+"""Where Newton's method fails in steady flow: by which factor's square the viscosity is raised first, the smallest step
+down to go on with, and how far it is raised at most."""
+
 
 class FlowError(RuntimeError):
     """A step or a steady solve that failed; the flow is in the state before it.
@@ -60,8 +70,7 @@ class FlowOptions:
             iterative solver, which keeps the nodal mean, or by a pinned degree of freedom.
         pin_at: where the pressure is pinned to zero; None: the vertex with the smallest sum of coordinates.
         solver: linear solver recipe; None: by size, see :func:`tigar_x.linear.automatic`.
-        rtol: accepted residual relative to the first one of a step or solve; None: 1e-6 in a step, 1e-12 in steady
-            flow, whose first residual may be dominated by the penalty of weak conditions.
+        rtol: accepted residual relative to the first one of a step or solve; None: ``STEP_RTOL`` or ``STEADY_RTOL``.
         max_iterations: Newton iterations after which a step or solve has failed.
         keep: see :func:`tigar_x.solve.newton`; in steady flow every iteration has a new tangent.
 
@@ -327,6 +336,10 @@ class Flow:
             constant=self._pressure_dofs, rank_one=self._outlets, before=before,
         )  # fmt: skip
 
+    def compile(self) -> None:
+        """Compile the forms now instead of at the first solve."""
+        _ = self.system
+
     @property
     def unknowns(self) -> int:
         """Global number of unknowns."""
@@ -452,8 +465,8 @@ class Flow:
     def solve(self) -> FlowReport:
         """Solve for the steady flow, from the present state.
 
-        Newton's method with a line search comes first. Where it fails the viscosity is raised, by four at a time, until
-        it succeeds, and comes down again with each solution as the next start.
+        Newton's method with a line search comes first. Where it fails the viscosity is raised until it succeeds, and
+        comes down again with each solution as the next start, in steps that are halved where it fails again.
 
         Returns:
             The report.
@@ -469,43 +482,39 @@ class Flow:
         except SolveError as error:
             self.w.x.array[:] = before
             raise FlowError(
-                f"no steady flow was found at mu = {mu:.3g}: {error}; refine the mesh, start from a flow at a lower"
-                " Reynolds number, or step through time"
+                f"no steady flow at mu = {mu:.3g}: {error}; refine the mesh, start from a similar flow, or step"
+                " through time"
             ) from error
         finally:
             self.mu.value = mu
 
     def _continued(self, mu: float) -> FlowReport:
-        linear, tangents = 0, 0
-        start = self.w.x.array.copy()
-        waiting = [mu]
+        """Newton's method, with steady flows at higher viscosities on the way where it needs them."""
+        linear, tangents, above = 0, 0, None
+        start, waiting = self.w.x.array.copy(), [mu]
         while True:
             self.mu.value = waiting[-1]
             try:
                 self.system.apply_boundary_values()
-                done = self._newton(line_search=LineSearch())
-            except SolveError:
-                if len(waiting) > 12:
-                    raise
-                log.info("no steady flow at mu = %.3g yet", waiting[-1])
-                below = waiting[-1]
-                above = self._solved_above if self._solved_above is not None else 16.0 * below
-                waiting.append((below * above) ** 0.5)
+                done = self._newton(line_search=LineSearch(), stalled=STALLED)
+            except SolveError as error:
+                here = waiting[-1]
+                if (above is not None and above < SMALLEST_FACTOR * here) or here > HIGHEST_FACTOR * mu:
+                    reached = "at none" if above is None else f"down to mu = {above:.3g}"
+                    raise SolveError(f"steady flow was found {reached}; {error}") from error
+                waiting.append(FACTOR**2 * here if above is None else (here * above) ** 0.5)
+                log.info("no steady flow at mu = %.3g yet; next, mu = %.3g", here, waiting[-1])
                 self.w.x.array[:] = start
                 continue
             linear += sum(done.linear_iterations)
             tangents += done.tangents
-            self._solved_above = waiting.pop()
-            start = self.w.x.array.copy()
+            above, start = waiting.pop(), self.w.x.array.copy()
             if not waiting:
-                self._solved_above = None
                 return FlowReport(0.0, done.norms, linear, tangents)
-
-    _solved_above: float | None = None
 
     def _newton(self, **options: Any) -> NewtonReport:
         o, system = self.options, self.system
-        rtol = o.rtol if o.rtol is not None else 1e-12 if self.time is None else 1e-6
+        rtol = o.rtol if o.rtol is not None else STEADY_RTOL if self.time is None else STEP_RTOL
         return newton(system, rtol=rtol, atol=system.rounding(), max_iterations=o.max_iterations, **options)
 
 

@@ -195,8 +195,8 @@ def _check_connected(cells: Numbers, x: FloatArray, pairs: Numbers) -> None:
         sizes = np.bincount(part)
         place = _place(cells, x, int((part == sizes.argmin()).argmax()))
         raise ValueError(
-            f"the mesh has {count} parts that share no facet, the smallest with {sizes.min()} cells, "
-            f"among them {place}: one part is required"
+            f"the mesh has {count} parts that share no facet, the smallest with {sizes.min()} of {len(cells)} cells, "
+            f"such as {place}: one part is required"
         )
 
 

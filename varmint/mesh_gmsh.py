@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ KINDS = {1: "line", 2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 15: "
 """meshio's names of gmsh's linear elements."""
 GROWTH = 0.25
 """By how much cells grow per unit of length away from the cylinder."""
+LEFT = 1000
+"""Of how many further errors at most gmsh's parser is relieved after one."""
 
 
 def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMesh:
@@ -111,7 +114,7 @@ def channel_with_cylinder(
             _build_channel(gmsh.model, (length, height), (x, y), radius, tip)
             _set_sizes(gmsh, size, fields)
             plane = _meshed(gmsh, 2, "the channel").arrays()
-        return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size)))
+        return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size - 1e-9)))
 
     return distributed(comm, arrays)
 
@@ -196,14 +199,29 @@ def geo_elements(path: Path) -> Elements:
         ValueError: gmsh cannot read or mesh it; what :func:`from_gmsh` raises.
         RuntimeError: gmsh is in use.
     """
-    with _session() as gmsh:
-        try:
+    try:
+        with _session() as gmsh:
             gmsh.open(str(path))
             return _meshed(gmsh, max((dim for dim, _ in gmsh.model.getEntities()), default=0), str(path))
-        except ValueError:
-            raise
-        except Exception as error:  # gmsh raises nothing more special
-            raise ValueError(f"{path}: gmsh makes no mesh of it: {error}") from error
+    except (ValueError, RuntimeError):
+        raise
+    except Exception as error:  # gmsh raises nothing more special
+        _flush_parser()
+        raise ValueError(f"{path}: gmsh makes no mesh of it: {error}") from error
+
+
+def _flush_parser() -> None:
+    """Take from gmsh's parser the rest of a line with an error, or it goes on there with the next file."""
+    with NamedTemporaryFile("w", suffix=".geo") as blank:
+        blank.write(3 * "// nothing\n")
+        blank.flush()
+        for _ in range(LEFT):
+            try:
+                with _session() as gmsh:
+                    gmsh.open(blank.name)
+                return
+            except Exception:
+                continue
 
 
 @contextmanager

@@ -156,6 +156,11 @@ def node_points(space: fem.FunctionSpace) -> FloatArray:
     return np.asarray(points() if VERSION < (0, 11) else points)
 
 
+def lagrange_degree(space: fem.FunctionSpace) -> int:
+    """Polynomial degree of a scalar or blocked Lagrange space."""
+    return int(_scalar_element(space).degree)
+
+
 def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
     """Linear cells between neighbouring nodes, ``degree`` of them per direction in every element.
 

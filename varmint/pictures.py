@@ -1,0 +1,96 @@
+"""What pictures of a plane flow need: nodal values on triangles, gathered on rank 0, and streamlines.
+
+matplotlib is loaded by the functions that draw.
+"""
+
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from tigar_x import compat
+from tigar_x.compat import FloatArray
+
+
+class PlaneField:
+    """Nodal values of a field on triangles in the plane (collective to make; whole on rank 0, empty elsewhere).
+
+    Args:
+        function: in a scalar or blocked Lagrange space; in space its nodes with the smallest third coordinate are taken.
+        displacement: of the mesh; None: none.
+
+    Attributes:
+        x: positions, shape (nodes, 2).
+        values: shape (nodes, components).
+        triangles: nodes of each, shape (triangles, 3).
+        is_here: whether this rank holds them.
+    """
+
+    def __init__(self, function: fem.Function, displacement: fem.Function | None = None) -> None:
+        V = function.function_space
+        comm = V.mesh.comm
+        x = V.tabulate_dof_coordinates()
+        values = function.x.array.reshape(len(x), -1)
+        if displacement is not None:
+            d = V.mesh.geometry.dim
+            at_nodes = fem.Function(compat.lagrange_space(V.mesh, compat.lagrange_degree(V), d))
+            at_nodes.interpolate(displacement)
+            at_nodes.x.scatter_forward()
+            moved = np.zeros_like(x)
+            moved[compat.cell_dofs(V), :d] = at_nodes.x.array.reshape(-1, d)[compat.cell_dofs(at_nodes.function_space)]
+            x = x + moved
+        _, cells = compat.subcells(V)
+        counts = comm.allgather(len(x))
+        parts = comm.gather((x, values, cells + sum(counts[: comm.rank])))
+        self.is_here = parts is not None
+        self.x, self.values = np.zeros((0, 2)), np.zeros((0, values.shape[1]))
+        self.triangles = np.zeros((0, 3), dtype=int)
+        if parts is None:
+            return
+        nodes, self.values, cells = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        self.x = nodes[:, :2]
+        if V.mesh.geometry.dim == 2:
+            self.triangles = cells if cells.shape[1] == 3 else np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])
+            return
+        from scipy.spatial import Delaunay
+
+        plane = np.flatnonzero(np.isclose(nodes[:, 2], nodes[:, 2].min()))
+        _, first = np.unique(np.round(self.x[plane], 9), axis=0, return_index=True)
+        plane = plane[first]
+        self.x, self.values = self.x[plane], self.values[plane]
+        self.triangles = Delaunay(self.x).simplices
+
+    def shade(self, axes: Any, values: FloatArray, label: str, **style: Any) -> None:
+        """Draw nodal values as colours with a bar.
+
+        Args:
+            axes: of matplotlib.
+            values: shape (nodes,).
+            label: of the bar.
+            style: passed on to ``tripcolor``.
+        """
+        from matplotlib.tri import Triangulation
+
+        triangles = Triangulation(*self.x.T, self.triangles)
+        shade = axes.tripcolor(triangles, values, shading="gouraud", **({"rasterized": True} | style))
+        axes.figure.colorbar(shade, ax=axes, label=label, shrink=0.9)
+        (left, bottom), (right, top) = self.x.min(axis=0), self.x.max(axis=0)
+        axes.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", xlim=(left, right), ylim=(bottom, top))
+
+    def streamlines(self, axes: Any, samples: int = 80, **style: Any) -> None:
+        """Draw streamlines of the first two components.
+
+        Args:
+            axes: of matplotlib.
+            samples: along the longer side.
+            style: passed on to ``streamplot``.
+        """
+        from matplotlib.tri import LinearTriInterpolator, Triangulation
+
+        triangles = Triangulation(*self.x.T, self.triangles)
+        low, high = self.x.min(axis=0), self.x.max(axis=0)
+        counts = np.maximum((samples * (high - low) / (high - low).max()).astype(int), 2)
+        lines = [np.linspace(*ends, count) for *ends, count in zip(low, high, counts, strict=True)]
+        grid = np.meshgrid(*lines)
+        u, v = (LinearTriInterpolator(triangles, self.values[:, i])(*grid) for i in (0, 1))
+        axes.streamplot(*lines, u, v, **({"color": "0.25", "linewidth": 0.6, "arrowsize": 0.7} | style))
