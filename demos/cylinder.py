@@ -16,7 +16,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from tigar_x import checks, script
+from tigar_x import checks, compat, script
 from tigar_x.compat import FloatArray
 from tigar_x.output import CSVSeries, XDMFSeries
 from tigar_x.time_integration import generalized_alpha
@@ -88,8 +88,6 @@ class Coefficients:
 def surface_points(flow: Flow) -> FloatArray:
     """Vertices of the cylinder next to its foremost and rearmost point."""
     domain = flow.mesh.domain
-    from tigar_x import compat
-
     nodes = compat.facet_nodes(domain)[flow.mesh.facets("cylinder")].ravel()
     mine = domain.geometry.x[nodes][:, :2]
     x = np.concatenate(domain.comm.allgather(mine))
@@ -218,7 +216,8 @@ def draw(path: Path, field: PlaneField, curl: PlaneField, history: FloatArray, t
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(3 if len(history) else 2, 1, figsize=(10, 8 if len(history) else 5), layout="constrained")
+    rows = 3 if len(history) else 2
+    figure, axes = plt.subplots(rows, 1, figsize=(10, 2.6 * rows), layout="constrained")
     field.shade(axes[0], np.linalg.norm(field.values[:, :2], axis=1), "speed", cmap="viridis")
     axes[0].set_title(title)
     limit = 0.15 * np.abs(curl.values).max()
@@ -226,7 +225,8 @@ def draw(path: Path, field: PlaneField, curl: PlaneField, history: FloatArray, t
     if len(history):
         axes[2].plot(history[:, 0], history[:, 1], label="drag")
         axes[2].plot(history[:, 0], history[:, 2], label="lift")
-        axes[2].set(xlabel="$t$", ylabel="coefficient", ylim=(-1.5, 1.2 * max(history[len(history) // 5 :, 1].max(), 1.0)))
+        top = 1.2 * max(history[len(history) // 5 :, 1].max(), 1.0)
+        axes[2].set(xlabel="$t$", ylabel="coefficient", ylim=(-1.5, top))
         axes[2].grid(True, linewidth=0.4)
         axes[2].legend()
     figure.savefig(path, dpi=130)

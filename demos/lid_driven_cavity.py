@@ -50,7 +50,7 @@ def force(x: Any, drift: tuple[float, float], nu: Any) -> Any:
 
 def build(
     elements: int,
-    degree: int,
+    degree: int = 1,
     cells: str = "triangle",
     reynolds: float = 100.0,
     drift: tuple[float, float] = (0.0, 0.0),

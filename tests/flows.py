@@ -1,5 +1,7 @@
 """A random flow state and a residual of chosen options, which the tests of the flow forms share."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import ufl
 from mpi4py import MPI
@@ -7,6 +9,7 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat
+from tigar_x.solve import FiniteElementSystem
 from varmint.space import equal_order_space, split
 from varmint.vms import interior_residual
 
@@ -35,6 +38,37 @@ def randomise(u, seed):
     rng = np.random.default_rng([seed, u.function_space.mesh.comm.rank])
     u.x.array[:] = rng.uniform(-1, 1, len(u.x.array))
     u.x.scatter_forward()
+
+
+@contextmanager
+def moved_to(domain, displacement):
+    """Inside the ``with`` statement the mesh lies where a displacement of its vertices brings it."""
+    rest, d = domain.geometry.x.copy(), domain.geometry.dim
+    nodes, dofs = compat.cell_nodes(domain), compat.cell_dofs(displacement.function_space)
+    domain.geometry.x[nodes, :d] = rest[nodes, :d] + displacement.x.array.reshape(-1, d)[dofs]
+    try:
+        yield
+    finally:
+        domain.geometry.x[:] = rest
+
+
+def slope_error(residual, u, tangent=None):
+    """Relative difference of a tangent along a random direction from central differences of the residual at u."""
+    system = FiniteElementSystem(residual, u, tangent=tangent)
+    state, direction = u.x.array.copy(), u.copy()
+    randomise(direction, 3)
+
+    def at(eps):
+        u.x.array[:] = state + eps * direction.x.array
+        system.assemble_residual()
+        return system.b.copy()
+
+    difference = (at(1e-6) - at(-1e-6)) / 2e-6
+    at(0.0)
+    system.assemble_tangent()
+    slope = system.b.duplicate()
+    system.A.mult(compat.petsc_vector(direction), slope)
+    return (difference - slope).norm() / slope.norm()
 
 
 class Flow:

@@ -685,6 +685,17 @@ def test_xdmf_files_of_cells_and_of_facets_are_joined(tmp_path, kind, data):
     assert cell_contents(m) == pytest.approx({"inlet": area / 2.0, "2": area / 2.0})
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_xdmf_file_has_cells_and_facets(tmp_path, kind):
+    pytest.importorskip("meshio")
+    found = elements(kind)
+    m = read(COMM, written(shared_path(tmp_path) / "mesh.xdmf", Elements("", found.points, found.blocks[:2])))
+    area = np.prod(SIZES[: found.blocks[1].dimension])
+    assert list(facet_contents(m).values()) == pytest.approx(list(side_sizes(found.blocks[1].dimension).values()))
+    assert cell_contents(m) == pytest.approx({"1": area / 2.0, "2": area / 2.0})
+
+
 def test_an_xdmf_file_without_numbers_has_no_groups(tmp_path):
     meshio = pytest.importorskip("meshio")
     blocks = [("triangle", np.array([[0, 1, 2], [1, 2, 3]]))]

@@ -26,7 +26,7 @@ SIDES = (("left", "right"), ("bottom", "top"), ("back", "front"))
 
 @dataclass(frozen=True, eq=False)
 class NamedMesh:
-    """A mesh whose groups of facets and cells have names; the group with tag i has name i - 1.
+    """A mesh whose groups of facets and cells have names; the tags 1, 2, ... are those of the names in their order.
 
     Args:
         domain: mesh.

@@ -33,7 +33,8 @@ def read(
     Args:
         comm: communicator.
         path: ``.msh`` or ``.xdmf``, which meshio reads, or ``.geo``, which gmsh meshes before. Cells of the highest
-            dimension count: linear triangles, quadrilaterals, tetrahedra or hexahedra, of one kind.
+            dimension count: linear triangles, quadrilaterals, tetrahedra or hexahedra, of one kind. Where a ``.msh``
+            of version 4 has groups, all its elements need one (gmsh's option ``Mesh.SaveAll`` is off).
         facets_path: file of the facets and their groups, ``.msh`` or ``.xdmf``, when they have one of their own; its
             points are found by their coordinates.
         names: numbers of groups by the names that they are given. A group that is not there has its name in the file,

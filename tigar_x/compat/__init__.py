@@ -24,7 +24,14 @@ from tigar_x.compat.algebra import (
     pin_component,
     prescribed_component,
 )
-from tigar_x.compat.forms import C_FLAGS, compile_cpu_seconds, compile_forms, compile_seconds
+from tigar_x.compat.forms import (
+    C_FLAGS,
+    CompiledForm,
+    compile_cpu_seconds,
+    compile_forms,
+    compile_seconds,
+    compiled_forms,
+)
 from tigar_x.compat.meshes import (
     bounding_box_tree,
     candidate_cells,
@@ -61,6 +68,8 @@ __all__ = [
     "FloatArray",
     "IntArray",
     "C_FLAGS",
+    "CompiledForm",
+    "compiled_forms",
     "compile_cpu_seconds",
     "compile_forms",
     "compile_seconds",

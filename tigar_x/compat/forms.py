@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,32 @@ JIT: dict[str, Any] = {
 _compile_seconds = np.zeros(2)
 
 
+@dataclass(frozen=True)
+class CompiledForm:
+    """What a form that this process compiled, or loaded from the cache, contains.
+
+    Attributes:
+        arguments: number of arguments: 0 a functional, 1 a residual, 2 a tangent.
+        cell: name of the mesh's cells.
+        dimension: of space.
+        integrals: kinds of its integrals, each once.
+        coefficients: names of the functions in it, sorted.
+        constants: number of Constants in it.
+        seconds: wall seconds of compilation, or of loading from the cache.
+    """
+
+    arguments: int
+    cell: str
+    dimension: int
+    integrals: tuple[str, ...]
+    coefficients: tuple[str, ...]
+    constants: int
+    seconds: float
+
+
+_compiled: list[CompiledForm] = []
+
+
 def compile_seconds() -> float:
     """Wall seconds that this process has spent in building or loading forms and expressions so far [s]."""
     return float(_compile_seconds[0])
@@ -90,4 +117,27 @@ def compile_forms(*forms: ufl.Form) -> list[Any]:
     with compiling():
         for form in forms:
             form.signature()
-        return [fem.form(form, **JIT) for form in forms]
+        return [_compile(form) for form in forms]
+
+
+def _compile(form: ufl.Form) -> Any:
+    start = time.perf_counter()
+    compiled = fem.form(form, **JIT)
+    kinds = sorted({integral.integral_type() for integral in form.integrals()})
+    _compiled.append(
+        CompiledForm(
+            len(form.arguments()),
+            compiled.mesh.topology.cell_type.name,
+            int(compiled.mesh.geometry.dim),
+            tuple(kinds),
+            tuple(sorted(coefficient.name for coefficient in form.coefficients())),
+            len(form.constants()),
+            time.perf_counter() - start,
+        )
+    )
+    return compiled
+
+
+def compiled_forms() -> tuple[CompiledForm, ...]:
+    """The forms that this process has compiled or loaded so far."""
+    return tuple(_compiled)

@@ -158,7 +158,8 @@ def node_points(space: fem.FunctionSpace) -> FloatArray:
 
 def lagrange_degree(space: fem.FunctionSpace) -> int:
     """Polynomial degree of a scalar or blocked Lagrange space."""
-    return int(_scalar_element(space).degree)
+    degree = _scalar_element(space).degree
+    return int(degree() if VERSION < (0, 9) else degree)
 
 
 def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
