@@ -260,7 +260,8 @@ class PreparedSolver:
             return max(iterations, 1)
         reason, self._kept_iterations = self._ksp.getConvergedReason(), None
         if self.recipe.fallback is None:
-            raise SolveError(f"{self.recipe.name} failed after {iterations} iterations (PETSc reason {reason})")
+            what = "the matrix is singular or not finite" if self._direct else f"PETSc reason {reason}"
+            raise SolveError(f"{self.recipe.name} failed after {iterations} iterations ({what})")
         log.warning("%s failed (PETSc reason %d); using %s", self.recipe.name, reason, self.recipe.fallback.name)
         if self._fallback is None:
             self._fallback = PreparedSolver(self.recipe.fallback, self._A)

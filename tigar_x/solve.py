@@ -321,7 +321,13 @@ def newton(
         if not kept:
             system.assemble_tangent()
             tangents += 1
-        increment = system.solve()
+        try:
+            increment = system.solve()
+        except SolveError:
+            if not kept:
+                raise
+            kept = False
+            continue
         linear.append(int(getattr(system, "iterations", 1)))
         try:
             step, new = _move(system, increment, norm, line_search)

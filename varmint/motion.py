@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.line_search import LineSearch
 from tigar_x.linear import LinearSolver, SolveError, direct
 from tigar_x.solve import FiniteElementSystem, newton
 from tigar_x.time_integration import Scheme, TimeIntegrator, companion
@@ -28,6 +29,10 @@ Displacement = Callable[[Any, Any], Any]
 
 NEGLIGIBLE = 1e-10
 """Part of a typical cell's size that the nodes of an elastic mesh may be off their balance."""
+
+
+MOST_PARTS = 16
+"""Into how many parts the displacement of a boundary in a step is divided at most."""
 
 
 class MeshInversionError(SolveError):
@@ -226,14 +231,27 @@ class ElasticMotion(MeshMotion):
     def move(self) -> None:
         """Displace boundaries with data to the end of the step, and all other nodes along with them.
 
+        Where that is too far for the cells at the boundary it is done in up to 16 parts.
+
         Raises:
             SolveError: the nodes found no balance.
         """
         self.begin()
-        for interpolate, target, dofs in self._data:
+        for interpolate, *_ in self._data:
             interpolate()
-            self.time.x.x.array[dofs] = target.x.array[dofs]
-        self.relax()
+        x, parts = self.time.x.x.array, 1
+        while True:
+            try:
+                for part in range(parts):
+                    for _, target, dofs in self._data:
+                        x[dofs] += (target.x.array[dofs] - x[dofs]) / (parts - part)
+                    self.relax()
+                return
+            except SolveError:
+                if parts == MOST_PARTS or not self._data:
+                    raise
+                parts *= 4
+                self.time.restore()
 
     def relax(self) -> None:
         """Let the free nodes find their balance, with all others where they are.
@@ -242,8 +260,18 @@ class ElasticMotion(MeshMotion):
             SolveError: they found none.
         """
         norm = self._system.assemble_residual()
+        if not np.isfinite(norm):
+            self.check()
+            raise SolveError("the forces on the nodes of the mesh are not finite")
         self._reference = max(norm, self._reference)
-        newton(self._system, rtol=self._rtol, reference=self._reference, atol=self._atol(), keep=0.3)
+        newton(
+            self._system,
+            rtol=self._rtol,
+            reference=self._reference,
+            atol=self._atol(),
+            line_search=LineSearch(),
+            keep=0.3,
+        )
 
     def _atol(self) -> float:
         """Force that moves nodes by a negligible part of a cell."""

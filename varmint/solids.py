@@ -123,7 +123,8 @@ def mesh_residual(
     d = len(displacement)
     F = ufl.Identity(d) + ufl.grad(displacement)
     E = (F.T * F - ufl.Identity(d)) / 2
-    k = ufl.det(F) ** (-stiffening) * (abs(ufl.JacobianDeterminant(domain)) / size) ** (-size_stiffening)
+    # no number where J < 0, so that no iteration passes through cells that are inside out
+    k = ufl.sqrt(ufl.det(F)) ** (-2 * stiffening) * (abs(ufl.JacobianDeterminant(domain)) / size) ** (-size_stiffening)
     S = k * (ufl.tr(E) * ufl.Identity(d) + 2 * (E - ufl.tr(E) / 3 * ufl.Identity(d)))
     return ufl.inner(F * S, ufl.grad(w)) * dx
 
