@@ -1,7 +1,7 @@
 """Error against run time and memory of the steady cavity and of the decaying vortex, beside the published code.
 
-Every mesh is solved in a process of its own, which compiles or loads the forms first and then solves some times, of which
-the fastest counts. CPU seconds are those of the solve or the time loop.
+Every mesh is solved in a process of its own, which compiles or loads the forms first and then solves some times, of
+which the fastest counts. CPU seconds are those of the solve or the time loop.
 """
 
 import csv
@@ -154,7 +154,7 @@ def main(
         for n in SEQUENCES[degree]
     ]
     text = script.table(COLUMNS, [[r[name] for name in COLUMNS] for r in rows])
-    text += "\n\nAs accurate in H1 as the published code where it took a second or more; CPU seconds scaled to its machine\n"
+    text += "\n\nAs accurate in H1 as the published code where it took a second or more; scaled CPU seconds\n"
     header = ("problem", "published", "H1_u", "CPU s", "cheapest here", "H1_u", "CPU s", "ratio", "ratio, same mesh")
     gains = speedups(rows, speed)
     text += script.table(header, gains)

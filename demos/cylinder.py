@@ -1,9 +1,10 @@
 """Flow around a cylinder in a channel at any Reynolds number: steady flow, or vortices that it sheds.
 
-The channel (0, 2.2) x (0, 0.41) holds a cylinder of diameter D = 0.1 slightly below its middle. The fluid enters with a
-parabola of mean speed U = 1, does not slip on walls and cylinder, and leaves freely. With Re = U D/nu and the force F on
-the cylinder per unit depth, the coefficients of drag and lift are 2 F/(rho U^2 D); dp is the pressure difference between
-the foremost and the rearmost point of the cylinder, and St = f D/U the Strouhal number of the lift's frequency f.
+The channel (0, 2.2) x (0, 0.41) holds a cylinder of diameter D = 0.1 slightly below its middle. The fluid enters with
+a parabola of mean speed U = 1, does not slip on walls and cylinder, and leaves freely. With Re = U D/nu and the force F
+on the cylinder per unit depth, the coefficients of drag and lift are 2 F/(rho U^2 D); dp is the difference of pressure
+over rho U^2 between the foremost and the rearmost point of the cylinder, and St = f D/U the Strouhal number of the
+lift's frequency f.
 
 Sources: Schaefer and Turek, doi:10.1007/978-3-322-89849-4_39 (Re = 100: the middle of the intervals given there); John
 and Matthies, doi:10.1002/fld.195 (Re = 20). Cells have straight edges, so that the cylinder is a polygon.
@@ -146,7 +147,9 @@ def main(
             with _movie(out, flow) as movie:
                 movie.write(0.0)
     else:
-        history, iterations, linear = follow(flow, measure, checks.positive("until", until), watch, out if viz else None)
+        history, iterations, linear = follow(
+            flow, measure, checks.positive("until", until), watch, out if viz else None
+        )
         found = periodic(*history[:, :3].T)
 
     doi, known = PUBLISHED.get((float(reynolds), steady), (None, {}))

@@ -91,7 +91,7 @@ def build(
         moving=moving,
         options=FlowOptions(**({"C_I": 6.0 * degree**4} | options)),
     )
-    flow.start(velocity, project=True)
+    flow.start(velocity, projected=True)
     return flow
 
 

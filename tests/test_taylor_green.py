@@ -96,7 +96,7 @@ def vortex(dt, rho_infinity):
 def smooth_start():
     """State and rate after a while of strongly damped small steps: what belongs together at the start of others."""
     flow = vortex(0.01, 0.0)
-    flow.start(lambda x, t: DEMO.velocity(x, t - 0.5), project=True)
+    flow.start(lambda x, t: DEMO.velocity(x, t - 0.5), projected=True)
     for _ in range(50):
         flow.take_step()
     return flow.w.x.array.copy(), flow.time.xdot_old.x.array.copy()

@@ -47,9 +47,10 @@ class System(Protocol):
 
 
 class RankOne(Protocol):
-    """A load ``s(x) a`` with one scalar s of the whole unknown, such as the pressure that follows an outlet's flow rate.
+    """A load ``s(x) a`` with one scalar s of the whole unknown, such as a pressure that follows an outlet's flow rate.
 
-    The residual contains s as of its assembly (see ``before`` of :class:`FiniteElementSystem`). Its tangent ``a s'^T`` is dense, and is therefore not assembled but added to the solution of systems without it.
+    The residual contains s as of its assembly (see ``before`` of :class:`FiniteElementSystem`). Its tangent ``a s'^T``
+    is dense, and is therefore not assembled but added to the solution of systems without it.
     """
 
     def load(self) -> PETSc.Vec:

@@ -242,7 +242,7 @@ class Slip(Condition):
             return []
         facets, axes = fields.mesh.facets(*self.groups), _axes(fields.mesh, self.groups)
         value = fields.mesh_velocity(end=True)
-        used = [i for i in range(fields.d) if fields.mesh.domain.comm.allreduce(int((axes == i).sum()))]
+        used = [i for i in range(fields.d) if fields.mesh.domain.comm.allreduce(int(np.count_nonzero(axes == i)))]
         return [Prescribed(i, facets[axes == i], value[i]) for i in used]
 
 
@@ -251,7 +251,7 @@ def _axes(mesh: NamedMesh, groups: tuple[str, ...]) -> IntArray | None:
     nodes = compat.facet_nodes(mesh.domain)[mesh.facets(*groups)]
     spread = np.ptp(mesh.domain.geometry.x[nodes][..., : mesh.domain.geometry.dim], axis=1)
     flat = spread <= 1e-10 * spread.max(axis=1, keepdims=True, initial=0.0)
-    if mesh.domain.comm.allreduce(int((~flat.any(axis=1)).sum())):
+    if mesh.domain.comm.allreduce(int(np.count_nonzero(~flat.any(axis=1)))):
         return None
     return flat.argmax(axis=1).astype(np.int32)
 

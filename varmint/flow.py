@@ -4,129 +4,32 @@ What the scene does not have is not in its forms, see :mod:`varmint.vms`; what i
 solve. The residual, its conditions and its integrator can be given to a coupler instead of being solved here.
 """
 
-import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
 import ufl
-from mpi4py import MPI
 from dolfinx import fem
 
-from tigar_x import checks, compat
+from tigar_x import compat
 from tigar_x.compat import IntArray
 from tigar_x.line_search import LineSearch
 from tigar_x.linear import LinearSolver, SolveError, automatic
 from tigar_x.solve import FiniteElementSystem, NewtonReport, newton
 from tigar_x.time_integration import Scheme, TimeIntegrator, generalized_alpha
-from varmint.ale import divergence, per_volume
-from varmint.conditions import Condition, Data, Fields, Resistance, given
 from varmint.attachments import OutletPressure, SolidInFlow, pressure_pin
+from varmint.conditions import Condition, Data, Fields, Resistance, given
+from varmint.flow_checks import check_cover, check_numbers
+from varmint.flow_options import STALLED, STEADY_RTOL, STEP_RTOL, FlowError, FlowOptions, FlowReport
 from varmint.mesh import NamedMesh
 from varmint.motion import ElasticMotion, PrescribedMotion
 from varmint.solids import Solid
 from varmint.space import equal_order_space, split
+from varmint.start import consistent_start, varies
+from varmint.steady import continued
 from varmint.vms import frozen_tangent, interior_residual
 
-log = logging.getLogger(__name__)
-
-STEP_RTOL = 1e-6
-"""Accepted residual of a step relative to its first one."""
-STEADY_RTOL = 1e-12
-"""Accepted residual of steady flow relative to its first one, which the penalty of weak conditions may dominate."""
-STALLED = 1e3
-"""Multiple of the accepted residual that is accepted as well where rounding keeps Newton's method from going on."""
-FACTOR, SMALLEST_FACTOR, HIGHEST_FACTOR = 4.0, 1.1, 1e9
-"""Where Newton's method fails in steady flow: by which factor's square the viscosity is raised first, the smallest step
-down to go on with, and how far it is raised at most."""
-
-
-class FlowError(RuntimeError):
-    """A step or a steady solve that failed; the flow is in the state before it.
-
-    Attributes:
-        t: time of the step; None: steady flow.
-    """
-
-    def __init__(self, message: str, t: float | None = None) -> None:
-        super().__init__(message)
-        self.t = t
-
-
-@dataclass(frozen=True)
-class FlowOptions:
-    """How a flow is discretised and solved.
-
-    Attributes:
-        C_I: constant of the viscous term in tau_M; None: 3 for degree 1, else 6 k^4.
-        C_t: constant of the time-step term in tau_M.
-        tau_dt: time step in tau_M, where it is not to change with the step; None: that of the step. Unit: time.
-        invariant_metric: whether the element metric does not depend on the numbering of vertices.
-        frozen_tangent: whether the tangent leaves out the derivatives of the stabilisation parameters.
-        quadrature_degree: None: 2 k, and more where a mesh's displacement is not linear.
-        pressure: how the constant of the pressure is fixed in a flow without an open boundary: by the null space of an
-            iterative solver, which keeps the nodal mean, or by a pinned degree of freedom.
-        pin_at: where the pressure is pinned to zero; None: the vertex with the smallest sum of coordinates.
-        solver: linear solver recipe; None: by size, see :func:`tigar_x.linear.automatic`.
-        rtol: accepted residual relative to the first one of a step or solve; None: ``STEP_RTOL`` or ``STEADY_RTOL``.
-        max_iterations: Newton iterations after which a step or solve has failed.
-        keep: see :func:`tigar_x.solve.newton`; in steady flow every iteration has a new tangent.
-
-    Raises:
-        ValueError: a number is out of range.
-    """
-
-    C_I: float | None = None
-    C_t: float = 4.0
-    tau_dt: float | None = None
-    invariant_metric: bool = False
-    frozen_tangent: bool = False
-    quadrature_degree: int | None = None
-    pressure: Literal["automatic", "null space", "pin"] = "automatic"
-    pin_at: Sequence[float] | None = None
-    solver: LinearSolver | None = None
-    rtol: float | None = None
-    max_iterations: int = 25
-    keep: float | None = 0.2
-
-    def __post_init__(self) -> None:
-        for name, check in (
-            ("C_I", checks.not_negative),
-            ("tau_dt", checks.positive),
-            ("rtol", checks.positive),
-            ("keep", lambda n, x: checks.within(n, x, 0.0, 1.0)),
-        ):
-            if getattr(self, name) is not None:
-                check(name, getattr(self, name))
-        checks.not_negative("C_t", self.C_t)
-        checks.choice("pressure", self.pressure, ("automatic", "null space", "pin"))
-        checks.whole("max_iterations", self.max_iterations, 1)
-
-
-@dataclass(frozen=True)
-class FlowReport:
-    """What a step or a steady solve did.
-
-    Attributes:
-        t: end of the step; 0 in steady flow.
-        residuals: norms of the residual, from the first to the accepted one.
-        linear_iterations: iterations of the linear solver in all.
-        tangents: number of tangents that were assembled.
-        measured: what the step's ``measure`` returned.
-    """
-
-    t: float
-    residuals: tuple[float, ...]
-    linear_iterations: int
-    tangents: int
-    measured: Any = None
-
-    @property
-    def iterations(self) -> int:
-        """Number of Newton iterations."""
-        return len(self.residuals) - 1
+__all__ = ["Flow", "FlowError", "FlowOptions", "FlowReport"]
 
 
 class Flow:
@@ -185,8 +88,8 @@ class Flow:
     ) -> None:
         domain, self.options = mesh.domain, FlowOptions() if options is None else options
         d = domain.geometry.dim
-        self._check(rho, mu, dt, moving, solid)
-        _check_cover(mesh, conditions)
+        check_numbers(rho, mu, dt, moving, solid)
+        check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree = mesh, tuple(conditions), degree
         self.rho, self.mu = (
             value if isinstance(value, fem.Constant) else fem.Constant(domain, float(value)) for value in (rho, mu)
@@ -199,7 +102,6 @@ class Flow:
         if dt is not None:
             self.time = TimeIntegrator(self.w, dt, generalized_alpha(0.5) if scheme is None else scheme, algebraic=(d,))
             level, rate, t, t_alpha = self.time.x_alpha, split(self.time.xdot_alpha)[0], self.time.t, self.time.t_alpha
-        self._steady_time = t if dt is None else None
         (self.v, self.p), (w, q) = split(level), split(ufl.TestFunction(self.V))
         motion = None if moving is None else moving.motion
         extra = 0 if motion is None else 2 * (motion.degree - 1)
@@ -209,7 +111,7 @@ class Flow:
             None if moving is None else moving.end, self.options.invariant_metric, quadrature,
         )  # fmt: skip
         force = None if f is None else self.fields.vector("f", f)
-        self._solid = None if solid is None else SolidInFlow(solid, self, moving, force)
+        self._solid = SolidInFlow(solid, self, moving, force) if solid and isinstance(moving, ElasticMotion) else None
         self._interior = {"v_t": rate, "f": force, "scale_m": scale_m, "scale_c": scale_c}
         self._outlets: list[OutletPressure] = []
         self.terms = self._terms()
@@ -218,22 +120,10 @@ class Flow:
         self._prescribe()
         self.is_closed = not any(condition.is_open for condition in conditions)
 
-    def _check(self, rho: Any, mu: Any, dt: Any, moving: Any, solid: Any) -> None:
-        checks.parameter("rho", rho, checks.positive)
-        checks.parameter("mu", mu, checks.not_negative if dt is not None else _positive_if_steady)
-        if dt is not None:
-            checks.positive("dt", dt)
-        elif moving is not None or solid is not None:
-            raise ValueError("dt = None: a time step is required where the mesh moves or a solid is in the flow")
-        if moving is not None and dt != moving.time.step_size:
-            raise ValueError(f"dt = {dt!r}: that of the moving mesh, {moving.time.step_size!r}, is required")
-        if solid is not None and not isinstance(moving, ElasticMotion):
-            raise ValueError(f"moving = {moving!r}: a solid in the flow requires an ElasticMotion of the other cells")
-
     # -- forms --------------------------------------------------------------------------------------------------------
 
     def _terms(self) -> list[tuple[tuple[str, ...], ufl.Form]]:
-        terms = [(("fluid",), self.interior(self.v))]
+        terms: list[tuple[tuple[str, ...], ufl.Form]] = [(("fluid",), self.interior(self.v))]
         if self._solid is not None:
             terms.append((("solid",), self._solid.residual))
         for condition in self.conditions:
@@ -288,7 +178,7 @@ class Flow:
                 values, bc = compat.prescribed_component(self.V, item.component, item.facets)
                 interpolate = compat.Interpolation(values, ufl.as_ufl(item.value))
                 interpolate()
-                if _varies(item.value):
+                if varies(item.value):
                     self._values.append(interpolate)
                 self._bcs.append(bc)
 
@@ -319,7 +209,7 @@ class Flow:
         return chosen == "null space" or (chosen == "automatic" and not self.recipe.is_direct)
 
     @property
-    def _pressure_dofs(self) -> IntArray | None:
+    def pressure_dofs(self) -> IntArray | None:
         """Where the pressure lies in the unknown, if its constant is left to the null space."""
         if not (self.is_closed and self._by_null_space):
             return None
@@ -333,7 +223,7 @@ class Flow:
             before.append(self._solid.move_mesh)
         return FiniteElementSystem(
             self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe,
-            constant=self._pressure_dofs, rank_one=self._outlets, before=before,
+            constant=self.pressure_dofs, rank_one=self._outlets, before=before,
         )  # fmt: skip
 
     def compile(self) -> None:
@@ -347,13 +237,13 @@ class Flow:
 
     # -- states -------------------------------------------------------------------------------------------------------
 
-    def start(self, velocity: Data = None, pressure: Any = None, *, project: bool = False) -> None:
+    def start(self, velocity: Data = None, pressure: Any = None, *, projected: bool = False) -> None:
         """Set the state at the present time.
 
         Args:
             velocity: UFL vector, numbers, or a callable of coordinates and time; None: at rest.
             pressure: UFL scalar, number or callable; None: zero.
-            project: whether to project in L2 instead of interpolating at the nodes.
+            projected: whether to project in L2 instead of interpolating at the nodes.
         """
         domain, d = self.mesh.domain, self.mesh.domain.geometry.dim
         x = ufl.SpatialCoordinate(domain)
@@ -363,8 +253,8 @@ class Flow:
         u, p = given(velocity, x, t), given(pressure, x, t)
         components = [0.0] * d if u is None else [u[i] for i in range(d)]
         state = ufl.as_vector([*components, 0.0 if p is None else p])
-        if project:
-            _project(self.w, state, 2 * self.degree + 2)
+        if projected:
+            project(self.w, state, 2 * self.degree + 2)
         else:
             compat.interpolate(self.w, state)
         if self.time is not None:
@@ -374,52 +264,10 @@ class Flow:
     def consistent_start(self) -> None:
         """Compute the rate and the pressure that belong to the present velocity, for second order in time.
 
-        The rate balances momentum and is solenoidal; the residual of continuity, which the velocity alone would have to
-        balance, contributes its stabilisation.
-
         Raises:
             FlowError: they could not be computed.
         """
-        time = self.time
-        if time is None:
-            raise ValueError("dt = None: only an unsteady flow has initial rates")
-        others = () if self.moving is None else (self.moving.time,)
-        form, unknown = time.initial_form(self._differentiated(time), *others)
-        self._prescribe_rates(unknown)
-        constant = self._pressure_dofs
-        system = FiniteElementSystem(form, unknown, self.bcs, solver=self.recipe, constant=constant)
-        try:
-            newton(system, rtol=1e-10, max_iterations=10)
-        except SolveError as error:
-            raise FlowError(f"no consistent start: {error}", time.time) from error
-        time.start(unknown)
-        self.w.x.array[:] = time.x_old.x.array
-
-    def _differentiated(self, time: TimeIntegrator) -> ufl.Form:
-        """The residual with the rate's divergence in place of the velocity's."""
-        f, period = self.fields, time.dt if self.options.tau_dt is None else self.options.tau_dt
-        rate = split(time.xdot_alpha)[0]
-        change = divergence(period * rate - f.v, f.motion)
-        dx = self.mesh.dx(*self.fluid_cells, degree=f.degree)
-        return self.residual + per_volume(f.q * change, f.motion) * dx
-
-    def _prescribe_rates(self, unknown: fem.Function) -> None:
-        """Rates of the strong values by central differences."""
-        time = self.time
-        dofs = compat.constrained_dofs(self._bcs)
-        if not len(dofs) or time is None:
-            return
-        sides, end = [], float(time.t.value)
-        delta = 1e-3 * time.step_size
-        for sign in (-1.0, 1.0):
-            time.t.value = time.time + sign * delta
-            for refresh in self._values:
-                refresh()
-            side = fem.Function(self.V)
-            compat.apply_values(side, self._bcs)
-            sides.append(side.x.array.copy())
-        time.t.value = end
-        unknown.x.array[dofs] = ((sides[1] - sides[0]) / (2.0 * delta))[dofs]
+        consistent_start(self)
 
     # -- solving ------------------------------------------------------------------------------------------------------
 
@@ -477,8 +325,9 @@ class Flow:
         if self.time is not None:
             raise ValueError(f"dt = {self.time.step_size!r}: a steady flow has none")
         before, mu = self.w.x.array.copy(), float(self.mu.value)
+        self.system.apply_boundary_values()
         try:
-            return self._continued(mu)
+            return continued(lambda: self._newton(line_search=LineSearch(), stalled=STALLED), self.w, self.mu)
         except SolveError as error:
             self.w.x.array[:] = before
             raise FlowError(
@@ -488,78 +337,7 @@ class Flow:
         finally:
             self.mu.value = mu
 
-    def _continued(self, mu: float) -> FlowReport:
-        """Newton's method, with steady flows at higher viscosities on the way where it needs them."""
-        linear, tangents, above = 0, 0, None
-        start, waiting = self.w.x.array.copy(), [mu]
-        while True:
-            self.mu.value = waiting[-1]
-            try:
-                self.system.apply_boundary_values()
-                done = self._newton(line_search=LineSearch(), stalled=STALLED)
-            except SolveError as error:
-                here = waiting[-1]
-                if (above is not None and above < SMALLEST_FACTOR * here) or here > HIGHEST_FACTOR * mu:
-                    reached = "at none" if above is None else f"down to mu = {above:.3g}"
-                    raise SolveError(f"steady flow was found {reached}; {error}") from error
-                waiting.append(FACTOR**2 * here if above is None else (here * above) ** 0.5)
-                log.info("no steady flow at mu = %.3g yet; next, mu = %.3g", here, waiting[-1])
-                self.w.x.array[:] = start
-                continue
-            linear += sum(done.linear_iterations)
-            tangents += done.tangents
-            above, start = waiting.pop(), self.w.x.array.copy()
-            if not waiting:
-                return FlowReport(0.0, done.norms, linear, tangents)
-
     def _newton(self, **options: Any) -> NewtonReport:
         o, system = self.options, self.system
         rtol = o.rtol if o.rtol is not None else STEADY_RTOL if self.time is None else STEP_RTOL
         return newton(system, rtol=rtol, atol=system.rounding(), max_iterations=o.max_iterations, **options)
-
-
-def _positive_if_steady(name: str, value: Any) -> float:
-    if checks.not_negative(name, value) == 0.0:
-        raise ValueError(
-            f"{name} = {value!r}: a number > 0 is required in steady flow, whose stabilisation has no bound"
-            " where the fluid rests"
-        )
-    return float(value)
-
-
-def _varies(value: Any) -> bool:
-    from ufl.algorithms import extract_coefficients
-    from ufl.algorithms.analysis import extract_constants
-
-    expression = ufl.as_ufl(value)
-    return bool(extract_coefficients(expression) or extract_constants(expression))
-
-
-def _project(function: fem.Function, expression: Any, degree: int) -> None:
-    dx = ufl.dx(domain=function.function_space.mesh, metadata={"quadrature_degree": degree})
-    residual = ufl.inner(function - expression, ufl.TestFunction(function.function_space)) * dx
-    newton(FiniteElementSystem(residual, function), rtol=1e-10)
-
-
-def _check_cover(mesh: NamedMesh, conditions: Sequence[Condition]) -> None:
-    domain = mesh.domain
-    if not conditions:
-        raise ValueError("conditions is empty: every boundary facet needs one")
-    named = [mesh.facets(*condition.groups) for condition in conditions]
-    exterior = compat.exterior_facets(domain)
-    covered = np.unique(np.concatenate(named))
-    counts = np.array([len(np.setdiff1d(exterior, covered)), len(exterior)])
-    missing, total = domain.comm.allreduce(counts, op=MPI.SUM)
-    if missing:
-        used = {name for condition in conditions for name in condition.groups}
-        free = [name for name in mesh.facet_names if name not in used]
-        raise ValueError(
-            f"{missing} of {total} boundary facets have no condition: facet groups without one are"
-            f" {', '.join(map(repr, free)) or 'none, but some facets belong to no group'}"
-        )
-    seen: set[str] = set()
-    for condition in conditions:
-        for name in condition.groups:
-            if name in seen:
-                raise ValueError(f"facet group {name!r} has two conditions: one is allowed")
-            seen.add(name)

@@ -82,9 +82,9 @@ class MeshMotion:
         if not J > 0.0:
             place = ", ".join(f"{coordinate:.4g}" for coordinate in where)
             raise MeshInversionError(
-                f"the mesh is inside out at t = {float(self.time.t.value):.6g}: a cell at ({place}) has the volume ratio"
-                f" J = {J:.3g}, > 0 is required; take smaller steps, a finer mesh where it is compressed, or stiffer"
-                " small cells"
+                f"the mesh is inside out at t = {float(self.time.t.value):.6g}: a cell at ({place}) has the ratio of"
+                f" volumes J = {J:.3g}, > 0 is required; take smaller steps, a finer mesh where it is compressed, or"
+                " stiffer small cells"
             )
 
 
@@ -264,14 +264,12 @@ class ElasticMotion(MeshMotion):
             self.check()
             raise SolveError("the forces on the nodes of the mesh are not finite")
         self._reference = max(norm, self._reference)
-        newton(
-            self._system,
-            rtol=self._rtol,
-            reference=self._reference,
-            atol=self._atol(),
-            line_search=LineSearch(),
-            keep=0.3,
-        )
+        r, system, search = self._reference, self._system, LineSearch()
+        try:
+            newton(system, rtol=self._rtol, reference=r, atol=self._atol(), line_search=search, keep=0.3)
+        except SolveError as error:
+            t = float(self.time.t.value)
+            raise SolveError(f"the nodes of the moving mesh find no balance at t = {t:.6g}: {error}") from error
 
     def _atol(self) -> float:
         """Force that moves nodes by a negligible part of a cell."""

@@ -16,7 +16,7 @@ class PlaneField:
     """Nodal values of a field on triangles in the plane (collective to make; whole on rank 0, empty elsewhere).
 
     Args:
-        function: in a scalar or blocked Lagrange space; in space its nodes with the smallest third coordinate are taken.
+        function: in a scalar or blocked Lagrange space; in space the nodes with the smallest third coordinate count.
         displacement: of the mesh; None: none.
 
     Attributes:
@@ -90,7 +90,7 @@ class PlaneField:
         triangles = Triangulation(*self.x.T, self.triangles)
         low, high = self.x.min(axis=0), self.x.max(axis=0)
         counts = np.maximum((samples * (high - low) / (high - low).max()).astype(int), 2)
-        lines = [np.linspace(*ends, count) for *ends, count in zip(low, high, counts, strict=True)]
+        lines = [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
         grid = np.meshgrid(*lines)
         u, v = (LinearTriInterpolator(triangles, self.values[:, i])(*grid) for i in (0, 1))
         axes.streamplot(*lines, u, v, **({"color": "0.25", "linewidth": 0.6, "arrowsize": 0.7} | style))

@@ -128,7 +128,7 @@ class BoundaryForce:
             inside = [name in names for name in groups]
             if any(inside) and not all(inside):
                 raise ValueError(
-                    f"names = {names!r}: one of them shares a condition with {groups!r}; conditions of their own are required"
+                    f"names = {names!r}: one shares a condition with {groups!r}; conditions of their own are required"
                 )
             if not any(inside) and groups != ("solid",):
                 terms.append(form)

@@ -49,7 +49,7 @@ def _compressible(name: str, value: Any) -> float:
 
 
 class StVenantKirchhoff(_Elastic):
-    """St. Venant-Kirchhoff solid, ``S = lambda tr(E) I + 2 mu E`` with Green's strain E (in the plane: plane strain)."""
+    """St. Venant-Kirchhoff solid, ``S = lambda tr(E) I + 2 mu E`` with Green's strain E; plane strain in the plane."""
 
     def first_piola_kirchhoff(self, F: Any) -> Any:
         """First Piola-Kirchhoff stress of a deformation gradient, shape (d, d); unit: force/area."""
@@ -60,7 +60,7 @@ class StVenantKirchhoff(_Elastic):
 
 
 class NeoHookean(_Elastic):
-    """Compressible neo-Hookean solid, ``psi = mu/2 (tr C - 2 ln J - d) + lambda/2 (ln J)^2`` (in the plane: plane strain)."""
+    """Neo-Hookean solid, ``psi = mu/2 (tr C - 2 ln J - d) + lambda/2 (ln J)^2``; plane strain in the plane."""
 
     def first_piola_kirchhoff(self, F: Any) -> Any:
         """First Piola-Kirchhoff stress of a deformation gradient, shape (d, d); unit: force/area."""

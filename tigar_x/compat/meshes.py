@@ -1,6 +1,7 @@
 """Meshes and geometry."""
 
 import sys
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -185,4 +186,4 @@ def cells_of_points(domain: mesh.Mesh, points: FloatArray) -> IntArray:
     near = _collisions(bounding_box_tree(domain, 1e-10), x)
     inside = geometry.compute_colliding_cells(domain, near, x)
     array, offsets = inside.array, inside.offsets
-    return np.array([array[i] if i < j else -1 for i, j in zip(offsets, offsets[1:], strict=False)], dtype=np.int32)
+    return np.array([array[i] if i < j else -1 for i, j in pairwise(offsets)], dtype=np.int32)

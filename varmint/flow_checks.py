@@ -1,0 +1,79 @@
+"""Checks of a flow before anything is computed."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from tigar_x import checks, compat
+from varmint.conditions import Condition
+from varmint.mesh import NamedMesh
+from varmint.motion import ElasticMotion
+
+
+def check_numbers(rho: Any, mu: Any, dt: Any, moving: Any, solid: Any) -> None:
+    """Check the numbers and the attachments of a flow.
+
+    Args:
+        rho: density.
+        mu: dynamic viscosity.
+        dt: time step; None: steady flow.
+        moving: motion of the mesh; None: it is fixed.
+        solid: solid in the flow; None: none.
+
+    Raises:
+        ValueError: one is not allowed, or does not go with another.
+    """
+    checks.parameter("rho", rho, checks.positive)
+    checks.parameter("mu", mu, checks.not_negative if dt is not None else _positive_if_steady)
+    if dt is not None:
+        checks.positive("dt", dt)
+    elif moving is not None or solid is not None:
+        raise ValueError("dt = None: a time step is required where the mesh moves or a solid is in the flow")
+    if moving is not None and dt != moving.time.step_size:
+        raise ValueError(f"dt = {dt!r}: that of the moving mesh, {moving.time.step_size!r}, is required")
+    if solid is not None and not isinstance(moving, ElasticMotion):
+        raise ValueError(f"moving = {moving!r}: a solid in the flow requires an ElasticMotion of the other cells")
+
+
+def _positive_if_steady(name: str, value: Any) -> float:
+    if checks.not_negative(name, value) == 0.0:
+        raise ValueError(
+            f"{name} = {value!r}: a number > 0 is required in steady flow, whose stabilisation has no bound"
+            " where the fluid rests"
+        )
+    return float(value)
+
+
+def check_cover(mesh: NamedMesh, conditions: Sequence[Condition]) -> None:
+    """Check that every boundary facet has one condition (collective).
+
+    Args:
+        mesh: mesh with named facets.
+        conditions: conditions of the flow.
+
+    Raises:
+        ValueError: a facet has none or a group has two, or a group does not exist.
+    """
+    domain = mesh.domain
+    if not conditions:
+        raise ValueError("conditions is empty: every boundary facet needs one")
+    named = [mesh.facets(*condition.groups) for condition in conditions]
+    exterior = compat.exterior_facets(domain)
+    covered = np.unique(np.concatenate(named))
+    counts = np.array([len(np.setdiff1d(exterior, covered)), len(exterior)])
+    missing, total = domain.comm.allreduce(counts, op=MPI.SUM)
+    if missing:
+        used = {name for condition in conditions for name in condition.groups}
+        free = [name for name in mesh.facet_names if name not in used]
+        raise ValueError(
+            f"{missing} of {total} boundary facets have no condition: facet groups without one are"
+            f" {', '.join(map(repr, free)) or 'none, but some facets belong to no group'}"
+        )
+    seen: set[str] = set()
+    for condition in conditions:
+        for name in condition.groups:
+            if name in seen:
+                raise ValueError(f"facet group {name!r} has two conditions: one is allowed")
+            seen.add(name)
