@@ -25,7 +25,7 @@ from varmint.mesh import NamedMesh
 from varmint.motion import ElasticMotion, PrescribedMotion
 from varmint.solids import Solid
 from varmint.space import equal_order_space, split
-from varmint.start import consistent_start, varies
+from varmint.start import consistent_start, project, varies
 from varmint.steady import continued
 from varmint.vms import frozen_tangent, interior_residual
 
