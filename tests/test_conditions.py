@@ -406,7 +406,6 @@ def test_traction_and_pressure_behind_an_outlet():
     ("condition", "is_closed"),
     [
         (Velocity("right", (1.0, 0.0)), True),
-        (Velocity("right", (1.0, 0.0), (1,)), True),
         (WeakVelocity("right"), True),
         (Slip("right"), True),
         (Traction("right"), False),

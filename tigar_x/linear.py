@@ -3,6 +3,7 @@
 import itertools
 import logging
 import math
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,10 @@ _prefixes = itertools.count()
 
 SMALL = 1000
 """Unknowns below which a direct solver costs next to nothing, whatever the matrix."""
+MEDIUM = 30_000
+"""Unknowns of a stabilised flow in the plane from which on MUMPS takes less time than GMRES with ILU(1)."""
+LARGE = {2: 300_000, 3: 1_500_000}
+"""Unknowns of a stabilised flow from which on multigrid takes less time than anything else, by dimension of space."""
 
 
 class SolveError(RuntimeError):
@@ -129,19 +134,74 @@ def gmres_sor(*, rtol: float = 1e-8, max_iterations: int = 100, fallback: Linear
     return LinearSolver("gmres_sor", options, "baij", None, direct() if fallback is None else fallback)
 
 
-def automatic(unknowns: int, *, blocked: bool) -> LinearSolver:
+def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: LinearSolver | None = None) -> LinearSolver:
+    """Flexible GMRES with algebraic multigrid of smoothed aggregation on whole nodes (PETSc's GAMG).
+
+    Two steps of GMRES with incomplete LU smooth the levels, one block a rank; MUMPS solves the coarsest. Iterations
+    grow slowly with the number of unknowns, and so does memory; the set-up costs as much as ten iterations of others.
+
+    Args:
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        fallback: recipe to use when it fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    options = _gmres(rtol, max_iterations) | {
+        "ksp_type": "fgmres",
+        "pc_type": "gamg",
+        "pc_gamg_agg_nsmooths": 1,
+        "pc_gamg_threshold": 0.0,
+        "pc_gamg_aggressive_coarsening": 1,
+        "pc_gamg_coarse_eq_limit": 20_000,
+        "mg_levels_ksp_type": "gmres",
+        "mg_levels_ksp_max_it": 2,
+        "mg_levels_pc_type": "bjacobi",
+        "mg_levels_sub_pc_type": "ilu",
+        "mg_levels_sub_pc_factor_levels": 1,
+        "mg_levels_sub_pc_factor_mat_ordering_type": "rcm",
+        "mg_coarse_pc_type": "lu",
+        "mg_coarse_pc_factor_mat_solver_type": "mumps",
+    }
+    return LinearSolver("multigrid", options, "aij", None, direct() if fallback is None else fallback)
+
+
+def automatic(
+    unknowns: int, *, blocked: bool, dimension: int | None = None, kept: bool = False, rtol: float = 1e-8
+) -> LinearSolver:
     """Recipe by size and layout: MUMPS for small or mixed systems, GMRES with block ILU(1) for others.
+
+    In the plane MUMPS is faster than GMRES with ILU from ``MEDIUM`` unknowns on, or from the start where factors are
+    kept from step to step; beyond ``LARGE`` multigrid takes less time or memory. An immersed surface makes the system
+    of a flow another one: its dimension is then not given.
 
     Args:
         unknowns: global number of unknowns.
         blocked: whether all components live at the same nodes, as in a stabilised equal-order flow; a mixed system may
             have zeros on its diagonal, which incomplete factors do not bear.
+        dimension: of space, for a flow without an immersed surface; None: another system.
+        kept: whether the matrix and its factors serve several steps.
+        rtol: of iterative solvers.
 
     Returns:
         The recipe.
     """
-    small = checks.whole("unknowns", unknowns, 1) < SMALL
-    return gmres_ilu(1) if blocked and not small else direct()
+    size = checks.whole("unknowns", unknowns, 1)
+    if not blocked or size < SMALL:
+        return direct()
+    if dimension is not None and size >= LARGE[dimension]:
+        return multigrid(rtol=rtol)
+    return direct() if dimension == 2 and (kept or size >= MEDIUM) else gmres_ilu(1, rtol=rtol)
+
+
+def _delete_options(names: list[str]) -> None:
+    options = PETSc.Options()
+    for name in names:
+        options.delValue(name)
 
 
 class PreparedSolver:
@@ -180,14 +240,16 @@ class PreparedSolver:
             options[prefix + key] = value
         ksp.setFromOptions()
         self._pending_options = [prefix + key for key in chosen]
+        if chosen.get("pc_type") == "gamg":  # reads them again whenever the matrix has changed
+            weakref.finalize(self, _delete_options, self._pending_options).atexit = False
+            self._pending_options = []
         compat.freed_with(self, ksp)
         return ksp
 
     def _clear_options(self) -> None:
         """PETSc's table of options is finite, and subdomain solvers read theirs in the first solve."""
-        options = PETSc.Options()
-        while self._pending_options:
-            options.delValue(self._pending_options.pop())
+        _delete_options(self._pending_options)
+        self._pending_options = []
 
     def _attempt(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         # a solve that PETSc breaks off leaves its right-hand side locked, so it gets a copy

@@ -20,7 +20,16 @@ from tigar_x.time_integration import Scheme, TimeIntegrator, generalized_alpha
 from varmint.attachments import OutletPressure, SolidInFlow, pressure_pin
 from varmint.conditions import Condition, Data, Fields, Resistance, given
 from varmint.flow_checks import check_cover, check_numbers
-from varmint.flow_options import STALLED, STEADY_RTOL, STEP_RTOL, FlowError, FlowOptions, FlowReport
+from varmint.flow_options import (
+    STALLED,
+    STEADY_LINEAR_RTOL,
+    STEADY_RTOL,
+    STEP_LINEAR_RTOL,
+    STEP_RTOL,
+    FlowError,
+    FlowOptions,
+    FlowReport,
+)
 from varmint.mesh import NamedMesh
 from varmint.motion import ElasticMotion, PrescribedMotion
 from varmint.solids import Solid
@@ -201,7 +210,11 @@ class Flow:
         if self.options.solver is not None:
             return self.options.solver
         index_map = self.V.dofmap.index_map
-        return automatic(index_map.size_global * self.V.dofmap.index_map_bs, blocked=True)
+        size, surface = index_map.size_global * self.V.dofmap.index_map_bs, self._interior["scale_m"] is not None
+        dimension = None if surface else int(self.mesh.domain.geometry.dim)
+        kept = self.time is not None and self.options.keep is not None
+        rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
+        return automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
 
     @property
     def _by_null_space(self) -> bool:

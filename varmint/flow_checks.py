@@ -61,6 +61,7 @@ def check_cover(mesh: NamedMesh, conditions: Sequence[Condition]) -> None:
         raise ValueError("conditions is empty: every boundary facet needs one")
     named = [mesh.facets(*condition.groups) for condition in conditions]
     exterior = compat.exterior_facets(domain)
+    exterior = exterior[exterior < domain.topology.index_map(domain.topology.dim - 1).size_local]
     covered = np.unique(np.concatenate(named))
     counts = np.array([len(np.setdiff1d(exterior, covered)), len(exterior)])
     missing, total = domain.comm.allreduce(counts, op=MPI.SUM)

@@ -7,6 +7,8 @@ from typing import Any, Literal
 from tigar_x import checks
 from tigar_x.linear import LinearSolver
 
+STEP_LINEAR_RTOL, STEADY_LINEAR_RTOL = 1e-3, 1e-4
+"""Tolerance of iterative linear solvers relative to the residual of each Newton iteration."""
 STALLED = 1e3
 """Multiple of the accepted residual that is accepted as well where rounding keeps Newton's method from going on."""
 STEP_RTOL = 1e-6
