@@ -35,6 +35,7 @@ def project(function: fem.Function, expression: Any, degree: int) -> None:
     """
     dx = ufl.dx(domain=function.function_space.mesh, metadata={"quadrature_degree": degree})
     residual = ufl.inner(function - expression, ufl.TestFunction(function.function_space)) * dx
+    function.x.array[:] = 0.0  # else a start that is the projection already leaves nothing but rounding to reduce
     newton(FiniteElementSystem(residual, function), rtol=1e-10)
 
 
