@@ -17,7 +17,7 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, automatic
 from tigar_x.quadrature import NodalQuadrature
-from tigar_x.solve import FiniteElementSystem
+from tigar_x.solve import FiniteElementSystem, RankOne
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import TimeIntegrator
@@ -40,6 +40,8 @@ class FluidSubproblem:
         solver: linear solver recipe; None: by size and layout, see :func:`tigar_x.linear.automatic`.
         tangent: UFL tangent; None: the derivative of the residual.
         updates: called with t_alpha at the start of every step, for data that are not UFL expressions in time.
+        before: called before every assembly of the residual, see :class:`tigar_x.solve.FiniteElementSystem`.
+        rank_one: loads whose tangent is dense, see there.
         density: rho, needed by a penalty rule; unit: mass/volume.
         viscosity: mu, needed by a penalty rule.
         mesh_size: size h of the cells near the surface, for a penalty rule and for warnings; None: see below.
@@ -62,6 +64,8 @@ class FluidSubproblem:
         solver: LinearSolver | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),
+        before: Sequence[Callable[[], None]] = (),
+        rank_one: Sequence[RankOne] = (),
         density: float | None = None,
         viscosity: float | None = None,
         mesh_size: float | None = None,
@@ -84,7 +88,9 @@ class FluidSubproblem:
 
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
         recipe = automatic(size * block, blocked=block > 1) if solver is None else solver
-        self.system = FiniteElementSystem(residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe)
+        self.system = FiniteElementSystem(
+            residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one
+        )
         self._free = ~np.isin(self.velocity_dofs, self.system.constrained)
         owned = self.system.b.getLocalSize()
         self._is_velocity = np.zeros(owned)

@@ -122,7 +122,6 @@ def test_steps_lead_to_poiseuille_flow(scheme):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("options", [dict(), dict(dt=1.0)], ids=["steady", "step"])
-@pytest.mark.xfail(strict=True, reason="no rounding error is known before the first tangent")
 def test_an_exact_flow_is_a_good_start(options):
     """Rounding is all that its residual is, and nothing can be made better."""
     flow = poiseuille(**options)
@@ -607,7 +606,6 @@ def test_what_a_piston_displaces_leaves(elastic, scheme):
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="the clock of the mesh stands still while rates of strong values are computed")
 def test_a_consistent_start_on_a_moving_mesh():
     """The fluid at a wall that moves has the wall's acceleration."""
     mesh = square()

@@ -53,11 +53,13 @@ class RankOne(Protocol):
     is dense, and is therefore not assembled but added to the solution of systems without it.
     """
 
-    def load(self) -> PETSc.Vec:
-        """Vector a, zero at constrained dofs."""
+    @property
+    def load(self) -> ufl.Form:
+        """Linear form of a."""
 
-    def slope(self) -> PETSc.Vec:
-        """Derivative s' of s by the unknown, zero at constrained dofs."""
+    @property
+    def slope(self) -> ufl.Form:
+        """Linear form of s', the derivative of s by the unknown."""
 
 
 class FiniteElementSystem:
@@ -111,7 +113,7 @@ class FiniteElementSystem:
         self.iterations = 0
         self.has_tangent = False
         self._null = None if constant is None else self._null_space(constant)
-        self._low_rank = LowRank(rank_one) if rank_one else None
+        self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
         self._before = tuple(before)
 
     def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
@@ -186,20 +188,6 @@ class FiniteElementSystem:
             self._null.remove(self._dx)
         return self._dx
 
-    def assembled(self, form: ufl.Form) -> PETSc.Vec:
-        """Vector of a linear form in the system's space, zero at constrained dofs (collective).
-
-        Args:
-            form: linear form.
-        """
-        (compiled,) = compat.compile_forms(form)
-        vector = compat.create_vector(self.x.function_space)
-        compat.freed_with(self, vector)
-        compat.assemble_vector(vector, compiled)
-        vector.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        vector.array_w[self.constrained[self.constrained < vector.getLocalSize()]] = 0.0
-        return vector
-
     def rounding(self) -> float:
         """Size of the rounding error in the residual, from the last tangent and the present state (collective)."""
         if not self.has_tangent:
@@ -217,16 +205,34 @@ class LowRank:
 
     Args:
         parts: the loads.
+        V: space of the unknown.
+        constrained: constrained local dofs, where all vectors are zero.
     """
 
-    def __init__(self, parts: Sequence[RankOne]) -> None:
-        self._parts = tuple(parts)
-        self._solved: list[PETSc.Vec] = []
+    def __init__(self, parts: Sequence[RankOne], V: fem.FunctionSpace, constrained: IntArray) -> None:
+        forms = compat.compile_forms(*(part.load for part in parts), *(part.slope for part in parts))
+        vectors = [compat.create_vector(V) for _ in forms]
+        self._forms = list(zip(vectors, forms, strict=True))
+        n = len(parts)
+        self._loads, self._slopes = vectors[:n], vectors[n:]
+        self._solved = [vector.duplicate() for vector in self._loads]
+        compat.freed_with(self, *vectors, *self._solved)
+        self._constrained = constrained[constrained < vectors[0].getLocalSize()]
         self._inverse: Any = None
 
     def forget(self) -> None:
         """The rest of the tangent has changed."""
         self._inverse = None
+
+    def _prepare(self, solver: PreparedSolver) -> int:
+        for vector, form in self._forms:
+            compat.assemble_vector(vector, form)
+            vector.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+            vector.array_w[self._constrained] = 0.0
+        iterations = sum(solver.solve(load, x) for load, x in zip(self._loads, self._solved, strict=True))
+        products = np.array([[slope.dot(x) for x in self._solved] for slope in self._slopes])
+        self._inverse = np.linalg.inv(np.eye(len(self._slopes)) + products)
+        return iterations
 
     def correct(self, x: PETSc.Vec, solver: PreparedSolver) -> int:
         """Make a solution without the dense part one with it.
@@ -238,17 +244,8 @@ class LowRank:
         Returns:
             Linear iterations.
         """
-        iterations = 0
-        slopes = [part.slope() for part in self._parts]
-        if not self._solved:
-            self._solved = [x.duplicate() for _ in self._parts]
-            compat.freed_with(self, *self._solved)
-        if self._inverse is None:
-            for part, solved in zip(self._parts, self._solved, strict=True):
-                iterations += solver.solve(part.load(), solved)
-            products = np.array([[slope.dot(solved) for solved in self._solved] for slope in slopes])
-            self._inverse = np.linalg.inv(np.eye(len(slopes)) + products)
-        for factor, solved in zip(self._inverse @ [slope.dot(x) for slope in slopes], self._solved, strict=True):
+        iterations = self._prepare(solver) if self._inverse is None else 0
+        for factor, solved in zip(self._inverse @ [slope.dot(x) for slope in self._slopes], self._solved, strict=True):
             x.axpy(-factor, solved)
         return iterations
 
@@ -275,7 +272,7 @@ def newton(
     system: System,
     *,
     rtol: float = 1e-5,
-    atol: float = 0.0,
+    atol: float | Callable[[], float] = 0.0,
     max_iterations: int = 20,
     reference: float | None = None,
     line_search: LineSearch | None = None,
@@ -287,7 +284,8 @@ def newton(
     Args:
         system: the problem.
         rtol: accepted residual relative to ``reference``.
-        atol: accepted residual, in the residual's unit.
+        atol: accepted residual, in the residual's unit, or a function that gives it, which is asked again after every
+            tangent.
         max_iterations: solves after which the iteration has failed.
         reference: norm that ``rtol`` refers to; None: the initial residual. A start that is nearly a solution needs
             one, or ``atol``: rounding keeps the residual from falling far below its initial value.
@@ -313,7 +311,12 @@ def newton(
         checks.within("keep", keep, 0.0, 1.0)
     norm = system.assemble_residual()
     scale = norm if reference is None else checks.not_negative("reference", reference)
-    target = max(checks.not_negative("rtol", rtol) * scale, checks.not_negative("atol", atol))
+    checks.not_negative("rtol", rtol)
+
+    def accepted() -> float:
+        return max(rtol * scale, checks.not_negative("atol", atol() if callable(atol) else atol))
+
+    target = accepted()
     norms, linear, steps, tangents = [norm], list[int](), list[float](), 0
     kept = keep is not None and system.has_tangent
     while math.isfinite(norm) and norm > target:
@@ -322,6 +325,10 @@ def newton(
         if not kept:
             system.assemble_tangent()
             tangents += 1
+            if callable(atol):
+                target = accepted()
+                if norm <= target:
+                    break
         try:
             increment = system.solve()
         except SolveError:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import ufl
 from dolfinx import fem
-from petsc4py import PETSc
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
@@ -99,45 +98,31 @@ class OutletPressure:
 
     Attributes:
         pressure: Constant, in the residual.
+        load: linear form, derivative of the residual by the pressure.
+        slope: linear form, derivative of the pressure by the unknown.
     """
 
     def __init__(self, condition: Resistance, flow: "Flow") -> None:
-        self._condition, self._flow = condition, flow
-        self.pressure = fem.Constant(flow.mesh.domain, float(condition.pressure))
-        self._flux: Any = None
-        self._load: PETSc.Vec | None = None
-
-    def _rate(self) -> ufl.Form:
-        f = self._flow.fields
-        n = ale.normal(f.mesh.domain, f.motion)
-        return ale.per_area(ufl.dot(f.v, n), f.mesh.domain, f.motion) * f.ds(self._condition.groups)
+        f = flow.fields
+        domain, motion, ds = f.mesh.domain, f.motion, f.ds(condition.groups)
+        n = ale.normal(domain, motion)
+        self._condition = condition
+        self.pressure = fem.Constant(domain, float(condition.pressure))
+        self._rate = ale.per_area(ufl.dot(f.v, n), domain, motion) * ds
+        self._compiled: Any = None
+        level = 1.0 if flow.time is None else flow.time.x_factor
+        self.load = ale.per_area(ufl.dot(f.w, n), domain, motion) * ds
+        self.slope = fem.Constant(domain, condition.resistance * level) * self.load
 
     def flow_rate(self) -> float:
         """Flow rate at the present state (collective); unit: volume/time."""
-        if self._flux is None:
-            (self._flux,) = compat.compile_forms(self._rate())
-        return compat.assemble_scalar(self._flux)
+        if self._compiled is None:
+            (self._compiled,) = compat.compile_forms(self._rate)
+        return compat.assemble_scalar(self._compiled)
 
     def update(self) -> None:
         """Bring the pressure to the present flow rate (collective)."""
         self.pressure.value = self._condition.pressure + self._condition.resistance * self.flow_rate()
-
-    def load(self) -> PETSc.Vec:
-        """Derivative of the residual by the pressure."""
-        if self._load is None:
-            flow = self._flow
-            f = flow.fields
-            n = ale.normal(f.mesh.domain, f.motion)
-            form = ale.per_area(ufl.dot(f.w, n), f.mesh.domain, f.motion) * f.ds(self._condition.groups)
-            self._load = flow.system.assembled(form)
-        return self._load
-
-    def slope(self) -> PETSc.Vec:
-        """Derivative of the pressure by the unknown."""
-        level = 1.0 if self._flow.time is None else self._flow.time.x_factor
-        slope = self.load().copy()
-        slope.scale(self._condition.resistance * level)
-        return slope
 
 
 def pressure_pin(V: fem.FunctionSpace, at: Any) -> Any:

@@ -202,6 +202,17 @@ class Flow:
         """To be called with t_alpha at the start of every step by whoever steps the flow."""
         return tuple(lambda _, refresh=refresh: refresh() for refresh in self._values)
 
+    @property
+    def rank_one(self) -> tuple[OutletPressure, ...]:
+        """Pressures of outlets with a resistance, whose tangent is dense, for whoever solves the flow."""
+        return tuple(self._outlets)
+
+    @property
+    def before(self) -> tuple[Callable[[], None], ...]:
+        """To be called before every assembly of the residual by whoever solves the flow."""
+        solid = () if self._solid is None else (self._solid.move_mesh,)
+        return (*(outlet.update for outlet in self._outlets), *solid)
+
     # -- systems ------------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -231,12 +242,9 @@ class Flow:
     @cached_property
     def system(self) -> FiniteElementSystem:
         """Compiled system."""
-        before: list[Callable[[], None]] = [outlet.update for outlet in self._outlets]
-        if self._solid is not None:
-            before.append(self._solid.move_mesh)
         return FiniteElementSystem(
             self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe,
-            constant=self.pressure_dofs, rank_one=self._outlets, before=before,
+            constant=self.pressure_dofs, rank_one=self.rank_one, before=self.before,
         )  # fmt: skip
 
     def compile(self) -> None:
@@ -353,4 +361,4 @@ class Flow:
     def _newton(self, **options: Any) -> NewtonReport:
         o, system = self.options, self.system
         rtol = o.rtol if o.rtol is not None else STEADY_RTOL if self.time is None else STEP_RTOL
-        return newton(system, rtol=rtol, atol=system.rounding(), max_iterations=o.max_iterations, **options)
+        return newton(system, rtol=rtol, atol=system.rounding, max_iterations=o.max_iterations, **options)

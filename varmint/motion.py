@@ -88,6 +88,11 @@ class MeshMotion:
             )
 
 
+def _check_shape(name: str, u: Any, domain: Any) -> None:
+    if u.ufl_shape != (domain.geometry.dim,):
+        raise ValueError(f"{name} has shape {u.ufl_shape}: ({domain.geometry.dim},) is required")
+
+
 class _Corners:
     """det F at the nodes of all cells of a mesh that a Lagrange space displaces."""
 
@@ -105,8 +110,9 @@ class _Corners:
 
     def smallest(self, u: fem.Function, comm: MPI.Comm) -> tuple[float, FloatArray]:
         values = u.x.array.reshape(-1, self._size)[self._dofs]
-        grad = np.einsum("cni,pnj->cpij", values, self._gradients) @ self._inverse
-        J = np.linalg.det(np.eye(self._size) + grad).min(axis=1, initial=np.inf)
+        with np.errstate(invalid="ignore"):  # what is not finite counts as inside out
+            grad = np.einsum("cni,pnj->cpij", values, self._gradients) @ self._inverse
+            J = np.linalg.det(np.eye(self._size) + grad).min(axis=1, initial=np.inf)
         J = np.where(np.isfinite(J), J, -np.inf)
         worst = int(np.argmin(J)) if len(J) else -1
         mine = (float(J[worst]), self._middles[worst]) if len(J) else (np.inf, np.zeros(self._size))
@@ -133,8 +139,7 @@ class PrescribedMotion(MeshMotion):
         domain, time = mesh.domain, self.time
         x, t = ufl.SpatialCoordinate(domain), ufl.variable(time.t)
         u = displacement(x, t)
-        if u.ufl_shape != (domain.geometry.dim,):
-            raise ValueError(f"displacement has shape {u.ufl_shape}: ({domain.geometry.dim},) is required")
+        _check_shape("displacement", u, domain)
         rate = ufl.diff(u, t)
         self._move = compat.Interpolation(time.x, u)
         end, time.t.value = float(time.t.value), time.time
@@ -171,7 +176,7 @@ class ElasticMotion(MeshMotion):
         solid_nodes: nodes (block dofs) of all other cells.
 
     Raises:
-        ValueError: a group does not exist, or a number is out of range.
+        ValueError: a group does not exist, a displacement has a wrong shape, or a number is out of range.
     """
 
     def __init__(
@@ -202,8 +207,9 @@ class ElasticMotion(MeshMotion):
             dofs = compat.nodes_on_facets(V, mesh.facets(name))
             held.append(dofs)
             if data is not None:
-                target = fem.Function(V)
-                self._data.append((compat.Interpolation(target, data(x, self.time.t)), target, self._unblocked(dofs)))
+                target, value = fem.Function(V), data(x, self.time.t)
+                _check_shape(f"displacements[{name!r}]", value, domain)
+                self._data.append((compat.Interpolation(target, value), target, self._unblocked(dofs)))
         if cells:
             inside = np.setdiff1d(np.arange(len(compat.cell_nodes(domain)), dtype=np.int32), mesh.cells(*cells))
             self.solid_nodes: IntArray = np.unique(compat.cell_dofs(V)[inside]).astype(np.int32)
@@ -266,7 +272,7 @@ class ElasticMotion(MeshMotion):
         self._reference = max(norm, self._reference)
         r, system, search = self._reference, self._system, LineSearch()
         try:
-            newton(system, rtol=self._rtol, reference=r, atol=self._atol(), line_search=search, keep=0.3)
+            newton(system, rtol=self._rtol, reference=r, atol=self._atol, line_search=search, keep=0.3)
         except SolveError as error:
             t = float(self.time.t.value)
             raise SolveError(f"the nodes of the moving mesh find no balance at t = {t:.6g}: {error}") from error

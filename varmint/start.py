@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from ufl.algorithms import extract_coefficients
@@ -76,16 +77,22 @@ def _differentiated(flow: "Flow", time: TimeIntegrator) -> ufl.Form:
 
 
 def _prescribe_rates(flow: "Flow", time: TimeIntegrator, unknown: fem.Function) -> None:
-    """Rates of the strong values by central differences."""
+    """Rates of the strong values by central differences; a mesh has its acceleration."""
     dofs = compat.constrained_dofs(flow.bcs)
     sides, end = [], float(time.t.value)
     delta = 1e-3 * time.step_size
+    mesh = None if flow.moving is None else flow.moving.time
     for sign in (-1.0, 1.0):
         time.t.value = time.time + sign * delta
+        if mesh is not None:
+            velocity = mesh.xdot_old.x.array + sign * delta * mesh.xddot_old.x.array
+            mesh.x.x.array[:] = mesh.x_from_rate_array(velocity, np.arange(len(velocity), dtype=np.int32))
         for update in flow.updates:
             update(time.time)
         side = fem.Function(flow.V)
         compat.apply_values(side, flow.bcs)
         sides.append(side.x.array.copy())
     time.t.value = end
+    if mesh is not None:
+        mesh.restore()
     unknown.x.array[dofs] = ((sides[1] - sides[0]) / (2.0 * delta))[dofs]
