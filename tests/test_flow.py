@@ -131,6 +131,17 @@ def test_an_exact_flow_is_a_good_start(options):
     assert report.iterations <= 1
 
 
+@pytest.mark.mpi
+@pytest.mark.xfail(strict=True, reason="the flow counts as closed, and its pressure is pinned")
+def test_an_outlet_whose_tangential_velocity_alone_is_given():
+    """Its normal component is free, and what is not prescribed there determines the pressure."""
+    outlet = Velocity("right", (0.0, 0.0), (1,))
+    flow = Flow(channel(), [Velocity(("bottom", "top")), Velocity("left", parabola), outlet], rho=1.3, mu=MU, degree=2)
+    assert not flow.is_closed
+    flow.solve()
+    assert nodal_error(flow, parabola, lambda x: 2 * MU * (2 - x[0])) < 1e-9
+
+
 def couette(mesh, **options):
     sheared = Traction("right", lambda x, t: ufl.as_vector([0 * x[0], MU + 0 * x[0]]))
     return Flow(mesh, [Velocity(("left", "bottom", "top"), shear), sheared], rho=1.3, mu=MU, **options)

@@ -212,7 +212,11 @@ class ElasticMotion(MeshMotion):
                 self._data.append((compat.Interpolation(target, value), target, self._unblocked(dofs)))
         if cells:
             inside = np.setdiff1d(np.arange(len(compat.cell_nodes(domain)), dtype=np.int32), mesh.cells(*cells))
-            self.solid_nodes: IntArray = np.unique(compat.cell_dofs(V)[inside]).astype(np.int32)
+            marker = fem.Function(V)  # a node of this rank may touch the solid in cells of another alone
+            marker.x.array.reshape(-1, domain.geometry.dim)[compat.cell_dofs(V)[inside]] = 1.0
+            compat.accumulate(marker)
+            in_solid = marker.x.array[:: domain.geometry.dim] > 0.5
+            self.solid_nodes: IntArray = np.flatnonzero(in_solid).astype(np.int32)
             held.append(self.solid_nodes)
         if not held:
             raise ValueError("displacements is empty: at least one facet group has to be held or moved")
