@@ -360,5 +360,6 @@ class Flow:
 
     def _newton(self, **options: Any) -> NewtonReport:
         o, system = self.options, self.system
-        rtol = o.rtol if o.rtol is not None else STEADY_RTOL if self.time is None else STEP_RTOL
+        rtol = STEADY_RTOL if self.time is None else STEP_RTOL[self.recipe.is_direct]
+        rtol = rtol if o.rtol is None else o.rtol
         return newton(system, rtol=rtol, atol=system.rounding, max_iterations=o.max_iterations, **options)

@@ -11,8 +11,9 @@ STEP_LINEAR_RTOL, STEADY_LINEAR_RTOL = 1e-3, 1e-4
 """Tolerance of iterative linear solvers relative to the residual of each Newton iteration."""
 STALLED = 1e3
 """Multiple of the accepted residual that is accepted as well where rounding keeps Newton's method from going on."""
-STEP_RTOL = 1e-6
-"""Accepted residual of a step relative to its first one."""
+STEP_RTOL = {True: 1e-6, False: 1e-8}
+"""Accepted residual of a step relative to its first one, for direct and for iterative linear solvers: what the latter
+leave lies in the pressure more than in the velocity."""
 STEADY_RTOL = 1e-12
 """Accepted residual of steady flow relative to its first one, which the penalty of weak conditions may dominate."""
 

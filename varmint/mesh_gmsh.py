@@ -153,7 +153,7 @@ def _build_channel(
     bottom, outlet, top, inlet = (geo.addLine(corners[i], corners[(i + 1) % 4]) for i in range(4))
     middle = geo.addPoint(x, y, 0.0)
     half = 0.0 if tip is None else np.arcsin(tip[1] / (2.0 * radius))
-    angles = [half, 2.0 * np.pi / 3.0, 4.0 * np.pi / 3.0, *([] if tip is None else [-half])]
+    angles = [half, np.pi / 2.0, np.pi, 3.0 * np.pi / 2.0, *([] if tip is None else [-half])]
     ring = [geo.addPoint(x + radius * np.cos(angle), y + radius * np.sin(angle), 0.0) for angle in angles]
     arcs = [geo.addCircleArc(a, middle, b) for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
     facets, cells = {"inlet": [inlet], "outlet": [outlet], "walls": [bottom, top], "cylinder": arcs}, {}
