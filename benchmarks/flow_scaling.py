@@ -143,7 +143,7 @@ def main(
     kinds: str = "steady,unsteady",
     solvers: str = "direct,gmres_ilu,multigrid",
     ranks: str = "1,2",
-    largest: int = 577,
+    elements: str = "",
     steps: int = 4,
     out: Path = Path("results/benchmarks/flow_scaling"),
     worker: str | None = None,
@@ -154,8 +154,8 @@ def main(
         dims: dimensions of space, separated by commas.
         kinds: steady, unsteady or both, separated by commas.
         solvers: linear solvers, separated by commas: automatic, direct, gmres_ilu, multigrid.
-        ranks: numbers of ranks, separated by commas; more than one on the two largest meshes.
-        largest: number of cells per side on the finest mesh.
+        ranks: numbers of ranks, separated by commas; more than one on the second largest mesh alone.
+        elements: cells per side, separated by commas; default: 64 to 577 in the plane, 16 to 48 in space.
         steps: of unsteady flow.
         out: folder of the results.
         worker: one run as JSON, on the ranks of this process, instead of all.
@@ -168,12 +168,12 @@ def main(
     rows: list[dict[str, Any]] = []
     print(script.table(COLUMNS, []))
     for dim in (int(d) for d in dims.split(",")):
-        sizes = [n for n in SIZES[dim] if n <= largest]
+        sizes = [int(n) for n in elements.split(",")] if elements else list(SIZES[dim])
         for kind in kinds.split(","):
             for solver in solvers.split(","):
                 for n in (n for n in sizes if n <= LIMITS.get((solver, dim), n)):
                     for count in (int(c) for c in ranks.split(",")):
-                        if count == 1 or n in sizes[-2:]:
+                        if count == 1 or n in sizes[-2:-1]:
                             rows.append(run(count, dim, kind, solver, n, steps))
                             print(
                                 "  ".join(

@@ -24,6 +24,7 @@ if [ "${1:-}" = --wheel ]; then
     shift
     environment=.venv-wheel extras=dev,viz,wheel pinned=()
     options=()
+    packages+=(libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1) # for PyPI's gmsh
 else
     environment=.venv extras=dev,debian
     options=(--system-site-packages)
