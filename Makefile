@@ -38,10 +38,11 @@ help: ## show this list
 setup: ## install Debian's packages and make .venv, whatever is missing of them
 	@$(SETUP)
 
-demo: setup ## run the fluid-membrane benchmark and its convergence table, and a shell, into results/
+demo: setup ## run the fluid-membrane benchmark with its convergence table, a shell and a flow, into results/
 	$(PYTHON) demos/manufactured.py --level 4 --out results/manufactured
 	$(PYTHON) benchmarks/manufactured.py --levels 1,2,3,4 --presets reference,default --out results/manufactured
 	$(PYTHON) demos/scordelis_lo.py --out results/scordelis_lo
+	$(PYTHON) demos/lid_driven_cavity.py --degree 2 --out results/lid_driven_cavity
 
 test: setup ## run the tests, but for the slow ones
 	$(PYTHON) -m pytest -m "not slow"
@@ -68,6 +69,9 @@ bench: setup ## run the benchmarks, into results/benchmarks
 	$(PYTHON) benchmarks/manufactured.py --out results/benchmarks
 	$(PYTHON) benchmarks/scordelis_lo.py --out results/benchmarks/scordelis_lo
 	$(PYTHON) benchmarks/contact.py --out results/benchmarks/contact
+	$(PYTHON) benchmarks/flow.py --out results/benchmarks/flow
+	$(PYTHON) benchmarks/flow_tangents.py --out results/benchmarks/flow_tangents
+	$(PYTHON) benchmarks/flow_extremes.py --out results/benchmarks/flow_extremes
 
 docs: ## write the documentation of the packages into build/docs
 	@$(SETUP) docs

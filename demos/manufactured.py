@@ -37,6 +37,7 @@ from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet
 from varmint.mesh import named
+from varmint.pictures import PlaneField
 from varmint.space import equal_order_space, split
 from varmint.vms import interior_residual
 
@@ -380,38 +381,24 @@ class Pictures:
 
 def draw(path: Path, data: Data, fsi: CouDALFISh) -> None:
     """Final pressure with streamlines, and the membrane's displacement against the exact one."""
-    w, d = fsi.timeInt_f.x, fsi.mesh_f.geometry.dim
-    x, owned = w.function_space.tabulate_dof_coordinates(), w.function_space.dofmap.index_map.size_local
-    parts = fsi.mesh_f.comm.gather((x[:owned], w.x.array.reshape(-1, d + 1)[:owned]))
-    if parts is None:
+    field, d = PlaneField(fsi.timeInt_f.x), fsi.mesh_f.geometry.dim
+    if not field.is_here:
         return
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
-    from matplotlib.tri import LinearTriInterpolator, Triangulation
-
-    x, nodal = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    plane = np.isclose(x[:, 2], x[:, 2].min())
-    x, nodal = x[plane], nodal[plane]
-    triangles = Triangulation(x[:, 0], x[:, 1])
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    shade = left.tripcolor(
-        triangles, nodal[:, d], shading="gouraud", cmap="RdBu_r", vmin=-1.5 * data.DP, vmax=0.5 * data.DP
-    )
-    figure.colorbar(shade, ax=left, label="pressure")
-    g = np.linspace(0.0, data.L, 60)
-    grid = np.meshgrid(g, g)
-    u, v = (np.asarray(LinearTriInterpolator(triangles, nodal[:, i])(*grid)) for i in (0, 1))
-    left.streamplot(g, g, u, v, density=1.1, color="0.25", linewidth=0.6, arrowsize=0.7)
+    limits = {"vmin": -1.5 * data.DP, "vmax": 0.5 * data.DP}
+    field.shade(left, field.values[:, d], "pressure", cmap="RdBu_r", **limits)
+    field.streamlines(left, samples=60, density=1.1)
     X = fsi.spline_sh.node_positions
     order = np.argsort(X[:, 1])
     order = order[X[order, -1] == 0.0] if d == 3 else order
     X = X[order]
     y = fsi.spline_sh.nodal(fsi.timeInt_sh.x)[order]
     left.plot(X[:, 0] + y[:, 0], X[:, 1] + y[:, 1], "k-", linewidth=2.0, label="membrane")
-    left.set(aspect="equal", xlim=(0, data.L), ylim=(0, data.L), xlabel="$x_1$", ylabel="$x_2$")
     left.set_title(f"t = {fsi.timeInt_f.time:.3g}: pressure, streamlines, membrane")
     exact = data.V * fsi.timeInt_f.time * (data.L * X[:, 1] - X[:, 1] ** 2)
     right.plot(X[:, 1], exact, "k-", linewidth=1.0, label="exact")

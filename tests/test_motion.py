@@ -197,12 +197,12 @@ def test_volume_ratio(cell, degree):
 @pytest.mark.mpi
 def test_cells_that_are_inside_out_between_their_corners():
     """A quadratic displacement that vanishes at all vertices; its largest slope is found at the nodes of the edges."""
-    moving = MeshMotion(brick("triangle", 1), DT, EULER, 2)
+    moving = MeshMotion(brick("triangle", 2), DT, EULER, 2)
     x, at = nodes(moving)
-    middle = np.isclose(x, [0.5, 0.0]).all(axis=1)
-    at(moving.time.x)[middle, 0] = 0.24
+    middle = np.isclose(x, [0.25, 0.0]).all(axis=1)
+    at(moving.time.x)[middle, 0] = 0.12
     assert 0.0 < moving.smallest_volume_ratio() < 0.1
-    at(moving.time.x)[middle, 0] = 0.26
+    at(moving.time.x)[middle, 0] = 0.13
     assert moving.smallest_volume_ratio() < 0.0
 
 
