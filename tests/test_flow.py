@@ -132,7 +132,6 @@ def test_an_exact_flow_is_a_good_start(options):
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="the flow counts as closed, and its pressure is pinned")
 def test_an_outlet_whose_tangential_velocity_alone_is_given():
     """Its normal component is free, and what is not prescribed there determines the pressure."""
     outlet = Velocity("right", (0.0, 0.0), (1,))

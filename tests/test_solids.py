@@ -345,7 +345,6 @@ def test_a_solid_as_heavy_as_the_fluid_hangs_in_it():
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="the pressure is pinned, although the solid's volume determines it")
 def test_a_solid_that_is_compressible_determines_the_pressure():
     """The fluid of a closed box keeps its volume, whatever a solid in it would do under another pressure."""
     flow = hanging()

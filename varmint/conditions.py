@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import ufl
+from mpi4py import MPI
 
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
@@ -135,13 +136,14 @@ class Condition:
 
     on: str | Sequence[str]
 
-    is_open = False
-    """Whether fluid may pass without a prescribed velocity, so that the pressure's constant is determined."""
-
     @property
     def groups(self) -> tuple[str, ...]:
         """Names of the facet groups."""
         return _groups(self.on)
+
+    def is_open(self, fields: Fields) -> bool:
+        """Whether fluid may pass without a prescribed velocity, so that the pressure's constant is determined."""
+        return False
 
     def term(self, fields: Fields) -> ufl.Form | None:
         """Residual form; None: the condition is strong alone."""
@@ -166,6 +168,14 @@ class Velocity(Condition):
 
     value: Data = None
     components: Sequence[int] | None = None
+
+    def is_open(self, fields: Fields) -> bool:
+        """See :class:`Condition`; without all components the one normal to the facets decides."""
+        if self.components is None or set(self.components) == set(range(fields.d)):
+            return False
+        axes = _axes(fields.mesh, self.groups)
+        free = axes is None or bool((~np.isin(axes, list(self.components))).any())
+        return bool(fields.mesh.domain.comm.allreduce(free, op=MPI.LOR))
 
     def strong(self, fields: Fields) -> list[Prescribed]:
         """See :class:`Condition`."""
@@ -271,7 +281,9 @@ class Traction(Condition):
     gamma: Any = 1.0
     inflow: Data = None
 
-    is_open = True
+    def is_open(self, fields: Fields) -> bool:
+        """See :class:`Condition`."""
+        return True
 
     def term(self, fields: Fields) -> ufl.Form:
         """See :class:`Condition`."""
@@ -306,11 +318,13 @@ class Resistance(Condition):
     pressure: float = 0.0
     gamma: Any = 1.0
 
-    is_open = True
-
     def __post_init__(self) -> None:
         checks.not_negative("resistance", self.resistance)
         checks.finite("pressure", self.pressure)
+
+    def is_open(self, fields: Fields) -> bool:
+        """See :class:`Condition`."""
+        return True
 
     def term_with(self, fields: Fields, outlet_pressure: Any) -> ufl.Form:
         """Residual form with the present pressure of the outlet, a Constant that the flow keeps."""

@@ -72,7 +72,7 @@ class Flow:
         terms: parts of the residual, each with the facet groups of its condition, "fluid" or "solid".
         bcs: strong boundary conditions.
         updates: to be called with t_alpha at the start of every step by whoever steps the flow.
-        is_closed: whether no boundary is open, so that a constant of the pressure remains.
+        is_closed: whether no boundary is open and no solid compressible, so that a constant of the pressure remains.
 
     Raises:
         ValueError: a number, shape or name is not allowed, or a boundary facet has no condition or two.
@@ -127,7 +127,8 @@ class Flow:
         self._values: list[Callable[[], None]] = []
         self._bcs = [] if self._solid is None else [self._solid.condition]
         self._prescribe()
-        self.is_closed = not any(condition.is_open for condition in conditions)
+        # a solid that can be compressed determines the pressure of a fluid that is enclosed with it
+        self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
 
     # -- forms --------------------------------------------------------------------------------------------------------
 
