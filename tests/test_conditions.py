@@ -402,10 +402,14 @@ def test_traction_and_pressure_behind_an_outlet():
     assert expected.norm() > 1.0
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("condition", "is_closed"),
     [
         (Velocity("right", (1.0, 0.0)), True),
+        (Velocity("right", (1.0, 0.0), (0, 1)), True),
+        (Velocity("right", (1.0, 0.0), (0,)), True),
+        (Velocity("right", (1.0, 0.0), (1,)), False),
         (WeakVelocity("right"), True),
         (Slip("right"), True),
         (Traction("right"), False),
@@ -417,6 +421,14 @@ def test_what_determines_the_pressure(condition, is_closed):
     flow = Flow(square(), [walls, condition], rho=RHO, mu=MU, dt=DT)
     assert flow.is_closed is is_closed
     assert (len(flow.bcs) == len(flow._bcs)) is not is_closed  # the pinned pressure of a small closed flow
+
+
+@pytest.mark.mpi
+def test_one_component_on_an_inclined_wall_leaves_its_normal_free():
+    walls = Velocity(("right", "bottom", "top"))
+    for components, is_closed in (((0,), False), ((1,), False), ((0, 1), True)):
+        flow = Flow(sheared(), [walls, Velocity("left", (0.0, 0.0), components)], rho=RHO, mu=MU, dt=DT)
+        assert flow.is_closed is is_closed
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------

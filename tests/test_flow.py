@@ -830,6 +830,42 @@ def test_flow_and_mesh_have_one_time_step(dt, message):
         Flow(mesh, WALLS, rho=1.0, mu=1.0, dt=dt, scheme=EULER, moving=moving)
 
 
+@pytest.mark.xfail(strict=True, reason="not checked")
+def test_flow_and_mesh_have_one_scheme():
+    """Else displacement, velocity and equations belong to different levels."""
+    mesh = square(1)
+    moving = PrescribedMotion(mesh, swirl, 0.1, EULER)
+    with pytest.raises(ValueError, match="^scheme = "):
+        Flow(mesh, WALLS, rho=1.0, mu=1.0, dt=0.1, scheme=ALPHA, moving=moving)
+
+
+@pytest.mark.mpi
+@pytest.mark.xfail(strict=True, reason="not checked")
+def test_flow_and_mesh_keep_one_time_step():
+    """One that is changed for the flow alone would let the clocks drift apart."""
+    mesh = square(1)
+    moving = PrescribedMotion(mesh, swirl, 0.1, EULER)
+    flow = Flow(mesh, WALLS, rho=1.0, mu=1.0, dt=0.1, scheme=EULER, moving=moving)
+    flow.time.step_size = 0.05
+    with pytest.raises(ValueError, match=r"^dt = 0.05: that of the moving mesh, 0.1, is required"):
+        flow.take_step()
+
+
+@pytest.mark.xfail(strict=True, reason="not checked")
+@pytest.mark.parametrize(
+    ("velocity", "message"),
+    [
+        ((1.0, 2.0, 3.0), r"^velocity has shape \(3,\): shape \(2,\) is required"),
+        ((1.0,), r"^velocity has shape \(1,\): shape \(2,\) is required"),
+        (lambda x, t: x[0], r"^velocity has shape \(\): shape \(2,\) is required"),
+        ((1.0, np.nan), r"^velocity\[1\] = nan: a finite number is required"),
+    ],
+)
+def test_bad_starts(velocity, message):
+    with pytest.raises(ValueError, match=message):
+        cavity("pin", dt=0.1).start(velocity)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -1,5 +1,7 @@
 """The two kinds of systems, and the Newton loop on them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -218,6 +220,142 @@ def test_a_failed_line_search_says_so_and_takes_its_steps_back():
         newton(problem, line_search=LineSearch(evaluations=8))
     assert problem.assembled == 1 + 8
     np.testing.assert_allclose(problem.u.x.array, 0.4, rtol=1e-14)
+
+
+# -- kept tangents ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("keep", [0.2, 0.5])
+def test_a_tangent_is_kept_while_it_serves(keep):
+    """As long as every step reduces the residual by the factor; the solution is the same, with fewer tangents."""
+    system, exact = nonlinear_poisson()
+    report = newton(system, rtol=1e-10, keep=keep, max_iterations=60)
+    every = newton(nonlinear_poisson()[0], rtol=1e-10)
+    np.testing.assert_allclose(system.x.x.array, exact.x.array, rtol=0, atol=1e-8)
+    assert every.tangents == len(every.linear_iterations) == len(every.norms) - 1
+    assert report.tangents < every.tangents
+    assert len(report.norms) > len(every.norms)
+    falls = [b / a for a, b in pairwise(report.norms)]
+    assert report.tangents == 1 + sum(fall >= keep for fall in falls[:-1])
+    assert report.step_lengths == (1.0,) * len(falls)
+
+
+@pytest.mark.mpi
+def test_a_tangent_is_kept_from_the_last_call():
+    system, exact = nonlinear_poisson()
+    assert newton(system, rtol=1e-10, keep=0.2).tangents > 0
+    for keep, tangents in ((0.2, 0), (None, 1)):
+        system.x.x.array[:] += 1e-4 * np.sin(np.arange(len(system.x.x.array)))
+        system.x.x.scatter_forward()
+        system.apply_boundary_values()
+        assert newton(system, rtol=1e-3, keep=keep).tangents == tangents
+    np.testing.assert_allclose(system.x.x.array, exact.x.array, rtol=0, atol=1e-6)
+
+
+@pytest.mark.mpi
+def test_a_step_with_a_kept_tangent_that_makes_things_worse_is_taken_back():
+    """From u = 3 with the slope of u = 0, which is 271 times too small; then there is a new one."""
+    system = Pointwise(growing, 0.0).system
+    system.assemble_residual()
+    system.assemble_tangent()
+    system.x.x.array[:] = 3.0
+    report = newton(system, rtol=1e-10, keep=0.2)
+    fresh = newton(Pointwise(growing, 3.0), rtol=1e-10)
+    assert report.step_lengths[0] == 0.0
+    assert report.norms[1] == pytest.approx(report.norms[0], rel=1e-12)
+    np.testing.assert_allclose(report.norms[1:5], fresh.norms[:4], rtol=1e-8)
+    assert 0 < report.tangents < len(report.linear_iterations)
+    np.testing.assert_allclose(system.x.x.array, 0.0, atol=1e-7)
+
+
+@pytest.mark.mpi
+def test_a_kept_tangent_that_leaves_the_numbers_is_given_up():
+    """The step for log(u) = 0 from 5 with the slope of u = 8 would end below zero."""
+    system = Pointwise(ufl.ln, 8.0).system
+    system.assemble_residual()
+    system.assemble_tangent()
+    system.x.x.array[:] = 2.0
+    report = newton(system, rtol=1e-10, keep=0.2)
+    assert report.step_lengths[0] == 0.0
+    np.testing.assert_allclose(system.x.x.array, 1.0, atol=1e-9)
+
+
+@pytest.mark.mpi
+@pytest.mark.xfail(strict=True, reason="a direct solver that has failed once fails ever after")
+def test_a_kept_tangent_that_is_singular_is_given_up():
+    system = Pointwise(lambda u: u**2 - 1, 0.0).system
+    system.assemble_residual()
+    system.assemble_tangent()
+    system.x.x.array[:] = 2.0
+    report = newton(system, rtol=1e-10, keep=0.2)
+    assert report.tangents > 0
+    np.testing.assert_allclose(system.x.x.array, 1.0, atol=1e-9)
+    system.x.x.array[:] = 0.0
+    with pytest.raises(SolveError, match="singular"):
+        newton(system, rtol=1e-10)
+
+
+@pytest.mark.mpi
+@pytest.mark.xfail(strict=True, reason="a line search along a kept tangent's increment that fails ends the iteration")
+def test_a_line_search_that_fails_along_a_kept_tangent_is_tried_with_a_new_one():
+    """From u = 3 with the slope of u = -1, which is negative."""
+    system = Pointwise(lambda u: u**2 + 2 * u - 3, -3.0).system
+    system.assemble_residual()
+    system.assemble_tangent()
+    system.x.x.array[:] = 3.0
+    report = newton(system, rtol=1e-10, keep=0.2, line_search=LineSearch(evaluations=6))
+    assert report.tangents > 0
+    np.testing.assert_allclose(system.x.x.array, 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("keep", [-0.1, 1.1, np.nan])
+def test_what_is_kept_is_in_range(keep):
+    with pytest.raises(ValueError, match=f"^keep = {keep}: a"):
+        newton(nonlinear_poisson()[0], keep=keep)
+
+
+# -- where rounding ends it -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_line_search_that_stalls_near_the_accepted_residual():
+    """Along the wrong direction nothing is better: that is accepted within the multiple, and an error beyond it."""
+    problem = Pointwise(growing, 0.4, slope=-1.0)
+    norm = problem.assemble_residual()
+    options = dict(rtol=0.0, atol=norm / 100, line_search=LineSearch(evaluations=4))
+    report = newton(problem, stalled=1000.0, **options)
+    assert report.step_lengths == (0.0,)
+    assert report.norms == (norm, norm)
+    np.testing.assert_allclose(problem.u.x.array, 0.4, rtol=1e-12)
+    with pytest.raises(SolveError, match="no step length"):
+        newton(problem, stalled=10.0, **options)
+
+
+@pytest.mark.mpi
+def test_an_accepted_residual_that_a_tangent_tells():
+    """It is asked for before the first tangent and after every one; what it accepts is not solved for."""
+    system, _ = nonlinear_poisson()
+    norm = system.assemble_residual()
+    for factor, solves in ((2.0, 0), (0.5, 4)):
+        system, _ = nonlinear_poisson()
+        report = newton(system, rtol=0.0, atol=lambda s=system, f=factor: f * norm if s.has_tangent else 0.0)
+        assert report.tangents == max(solves, 1)
+        assert len(report.linear_iterations) == solves
+        assert report.norms[-1] < factor * norm
+    with pytest.raises(ValueError, match=r"^atol = -1.0: a number >= 0"):
+        newton(system, atol=lambda: -1.0)
+
+
+@pytest.mark.mpi
+def test_rounding_is_what_solutions_are_left_with():
+    """Unknown before the first tangent; afterwards a bound on the residual of the solution, and not far above it."""
+    system, _ = nonlinear_poisson()
+    assert system.rounding() == 0.0
+    report = newton(system, rtol=1e-11)
+    once_more = newton(system, rtol=0.0, atol=system.rounding)
+    assert once_more.norms[-1] <= system.rounding()
+    assert system.rounding() < 1e-9 * report.norms[0]
 
 
 # -- additions from outside, and splines ------------------------------------------------------------------------------

@@ -126,7 +126,7 @@ def test_functionals_are_those_of_the_fluid():
 @pytest.mark.parametrize("make", [flow_rate, area, wall_shear_stress])
 def test_groups_have_to_exist(make):
     flow = still(brick())
-    with pytest.raises(ValueError, match="^facet group 'lid' does not exist: one of 'left', 'right'"):
+    with pytest.raises(ValueError, match=r"^facet group 'lid' does not exist: one of 'left', 'right'"):
         make(flow, "lid")
 
 
@@ -241,7 +241,7 @@ def test_poiseuille_flow_pulls_at_its_walls(wall):
 
 @pytest.mark.mpi
 def test_force_on_a_moving_mesh():
-    """Couette flow stays what it is on a mesh whose nodes move, and so does its force, at the level of the equations."""
+    """Couette flow stays what it is on a mesh whose nodes move, and so does its force."""
     mesh, euler = brick(), backward_euler()
 
     def swirl(x, t):
@@ -282,7 +282,7 @@ def test_a_weak_condition_on_more_than_the_groups(names):
 def test_a_strong_condition_may_be_shared():
     flow = Flow(brick(), [Velocity(("bottom", "top", "left")), Traction("right")], rho=RHO, mu=MU)
     BoundaryForce(flow, "bottom")
-    with pytest.raises(ValueError, match="^facet group 'lid' does not exist"):
+    with pytest.raises(ValueError, match=r"^facet group 'lid' does not exist"):
         BoundaryForce(flow, "lid")
 
 

@@ -7,7 +7,7 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from tigar_x import compat
-from tigar_x.time_integration import LoadStepper, TimeIntegrator, backward_euler, generalized_alpha
+from tigar_x.time_integration import LoadStepper, TimeIntegrator, backward_euler, companion, generalized_alpha
 
 CELL = mesh.create_interval(MPI.COMM_SELF, 1, [0.0, 1.0])
 NUMBER, TRIPLE = (compat.lagrange_space(CELL, 0, size) for size in (1, 3))
@@ -111,6 +111,61 @@ def test_predictor_keeps_the_rate(scheme):
     else:
         assert time.rates()[0][0] == pytest.approx(-0.7, rel=1e-13)
         assert time.x.x.array[0] != 0.4
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_unknown_of_a_rate(scheme):
+    """The inverse of the rates, as array and as expression."""
+    time = integrator(scheme, 0.3, 0.4, *(-0.7, 2.3)[: scheme.order])
+    time.x.x.array[:] = 1.1
+    rate = time.rates()[0]
+    dofs = np.zeros((1, 1), dtype=np.int32)
+    found = time.x_from_rate_array(rate[dofs], dofs)
+    assert found.shape == (1, 1)
+    assert found[0, 0] == pytest.approx(1.1, rel=1e-14)
+    given = fem.Constant(CELL, float(rate[0]))
+    (form,) = compat.compile_forms(time.x_from_rate(given) * ufl.dx(domain=CELL))
+    assert compat.assemble_scalar(form) == pytest.approx(1.1, rel=1e-14)
+    # the derivative by the rate is what a solid in a flow has in its tangent
+    other = time.x_from_rate_array(rate[dofs] + 1.0, dofs)
+    assert other[0, 0] - 1.1 == pytest.approx(0.3 / scheme.a0, rel=1e-13)
+
+
+@pytest.mark.parametrize("scheme", [backward_euler(), *(generalized_alpha(rho) for rho in (0.0, 0.3, 1.0))])
+def test_companions(scheme):
+    """The same levels, and between the two highest rates the relation that the first-order scheme has."""
+    second = companion(scheme)
+    assert second.order == 2
+    assert (second.alpha_f, second.alpha_m) == pytest.approx((scheme.alpha_f, scheme.alpha_m), rel=1e-15)
+    assert (second.b0, second.b1) == pytest.approx((scheme.a0, scheme.a1), rel=1e-14)
+    assert (second == backward_euler(2)) is (scheme == backward_euler())
+    with pytest.raises(ValueError, match=r"^order of scheme = 2: one of 1 is required"):
+        companion(second)
+
+
+@pytest.mark.parametrize("scheme", [backward_euler(), generalized_alpha(0.0), generalized_alpha(0.5)])
+def test_what_moves_along_has_the_velocity_of_a_companion(scheme):
+    """A displacement whose velocity is integrated at first order: both have one acceleration."""
+    first, second = integrator(scheme, 0.3, -0.7, 2.3), integrator(companion(scheme), 0.3, 0.4, -0.7, 2.3)
+    for velocity in (0.2, -0.5):
+        first.x.x.array[:] = velocity
+        dofs = np.zeros(1, dtype=np.int32)
+        second.x.x.array[:] = second.x_from_rate_array(np.full(1, velocity), dofs)
+        assert second.rates()[0] == pytest.approx(velocity, rel=1e-13)
+        assert second.rates()[1] == pytest.approx(first.rates()[0], rel=1e-12)
+        assert alpha_rates(second)[1] == pytest.approx(alpha_rates(first)[0], rel=1e-12)
+        assert alpha_rates(second)[0] == pytest.approx(first.x_alpha_array()[0], rel=1e-12)
+        first.advance()
+        second.advance()
+
+
+def test_a_step_is_taken_back():
+    time = integrator(generalized_alpha(0.5), 0.3, 1.0, 2.0)
+    time.x.x.array[:] = 7.0
+    time.restore()
+    assert time.x.x.array[0] == time.x_old.x.array[0] == 1.0
+    assert time.xdot_old.x.array[0] == 2.0
+    assert time.time == 0.0
 
 
 # -- orders -----------------------------------------------------------------------------------------------------------

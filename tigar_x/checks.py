@@ -50,7 +50,7 @@ def entries(name: str, value: Any) -> None:
     if isinstance(numbers_in, np.ndarray):
         array(name, numbers_in, (None,) * numbers_in.ndim)
     elif isinstance(value, Sequence | np.ndarray):
-        for i, entry in enumerate(value):
+        for i, entry in enumerate(value.tolist() if isinstance(value, np.ndarray) else value):
             parameter(f"{name}[{i}]", entry, finite)
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import ufl
 import ufl.corealg.traversal
 from dolfinx import fem, mesh
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from tigar_x.compat.forms import JIT, compiling
 from tigar_x.compat.meshes import cell_name, is_simplex, owned_cells
@@ -203,10 +205,16 @@ class Interpolation:
         self._function = function
         self._cells = cells
         self._numbers: FloatArray | None = None
-        if _has_domain(expression):
-            points = node_points(function.function_space)
+        expression = apply_derivatives(apply_algebra_lowering(expression))  # which may leave numbers alone
+        if _contains(expression, ufl.Coefficient, ufl.Constant, ufl.classes.GeometricQuantity):
+            space = function.function_space
+            if not _contains(expression, ufl.Coefficient, ufl.classes.GeometricQuantity):
+                # Constants alone do not tell every release where they are
+                here = fem.Constant(space.mesh, 0.0) * ufl.SpatialCoordinate(space.mesh)[0]
+                shape = expression.ufl_shape
+                expression = expression + (ufl.as_vector([here] * shape[0]) if shape else here)
             with compiling():
-                self._compiled = fem.Expression(expression, points, **JIT)
+                self._compiled = fem.Expression(expression, node_points(space), **JIT)
         else:
             shape = expression.ufl_shape
             self._numbers = np.array([float(expression[i]) for i in range(shape[0])] if shape else float(expression))
@@ -221,10 +229,9 @@ class Interpolation:
         self._function.x.scatter_forward()
 
 
-def _has_domain(expression: Any) -> bool:
-    """Whether there is anything but numbers in an expression."""
-    known = (ufl.Coefficient, ufl.Constant, ufl.classes.GeometricQuantity)
-    return any(isinstance(leaf, known) for leaf in ufl.corealg.traversal.traverse_unique_terminals(expression))
+def _contains(expression: Any, *kinds: type) -> bool:
+    """Whether there are terminals of some kinds in an expression."""
+    return any(isinstance(leaf, kinds) for leaf in ufl.corealg.traversal.traverse_unique_terminals(expression))
 
 
 def interpolate(function: fem.Function, expression: Any) -> None:
