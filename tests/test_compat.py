@@ -101,7 +101,7 @@ def test_interpolation_of_numbers_in_some_cells():
 @pytest.mark.parametrize("expression", [ufl.as_vector([1.0, 2.0, 3.0]), ufl.as_ufl(1.0)])
 def test_numbers_of_a_wrong_shape(expression):
     """As an expression of coordinates they are refused."""
-    f = fem.Function(compat.lagrange_space(grid("triangle"), 1, 2))
+    f = fem.Function(compat.lagrange_space(grid("triangle", 2), 1, 2))
     with pytest.raises((ValueError, RuntimeError)):
         compat.interpolate(f, expression)
 

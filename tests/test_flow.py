@@ -830,17 +830,15 @@ def test_flow_and_mesh_have_one_time_step(dt, message):
         Flow(mesh, WALLS, rho=1.0, mu=1.0, dt=dt, scheme=EULER, moving=moving)
 
 
-@pytest.mark.xfail(strict=True, reason="not checked")
 def test_flow_and_mesh_have_one_scheme():
     """Else displacement, velocity and equations belong to different levels."""
     mesh = square(1)
     moving = PrescribedMotion(mesh, swirl, 0.1, EULER)
-    with pytest.raises(ValueError, match="^scheme = "):
+    with pytest.raises(ValueError, match=r"^scheme = "):
         Flow(mesh, WALLS, rho=1.0, mu=1.0, dt=0.1, scheme=ALPHA, moving=moving)
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="not checked")
 def test_flow_and_mesh_keep_one_time_step():
     """One that is changed for the flow alone would let the clocks drift apart."""
     mesh = square(1)
@@ -851,7 +849,6 @@ def test_flow_and_mesh_keep_one_time_step():
         flow.take_step()
 
 
-@pytest.mark.xfail(strict=True, reason="not checked")
 @pytest.mark.parametrize(
     ("velocity", "message"),
     [

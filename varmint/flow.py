@@ -11,15 +11,15 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import IntArray
 from tigar_x.line_search import LineSearch
 from tigar_x.linear import LinearSolver, SolveError, automatic
 from tigar_x.solve import FiniteElementSystem, NewtonReport, newton
 from tigar_x.time_integration import Scheme, TimeIntegrator, generalized_alpha
 from varmint.attachments import OutletPressure, SolidInFlow, pressure_pin
-from varmint.conditions import Condition, Data, Fields, Resistance, given
-from varmint.flow_checks import check_cover, check_numbers
+from varmint.conditions import Condition, Data, Fields, Resistance, given, vector
+from varmint.flow_checks import check_clock, check_cover, check_numbers
 from varmint.flow_options import (
     STALLED,
     STEADY_LINEAR_RTOL,
@@ -97,7 +97,8 @@ class Flow:
     ) -> None:
         domain, self.options = mesh.domain, FlowOptions() if options is None else options
         d = domain.geometry.dim
-        check_numbers(rho, mu, dt, moving, solid)
+        scheme = generalized_alpha(0.5) if scheme is None else scheme
+        check_numbers(rho, mu, dt, scheme, moving, solid)
         check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree = mesh, tuple(conditions), degree
         self.rho, self.mu = (
@@ -109,7 +110,7 @@ class Flow:
         self.time: TimeIntegrator | None = None
         level, rate, t, t_alpha = self.w, None, fem.Constant(domain, 0.0), None
         if dt is not None:
-            self.time = TimeIntegrator(self.w, dt, generalized_alpha(0.5) if scheme is None else scheme, algebraic=(d,))
+            self.time = TimeIntegrator(self.w, dt, scheme, algebraic=(d,))
             level, rate, t, t_alpha = self.time.x_alpha, split(self.time.xdot_alpha)[0], self.time.t, self.time.t_alpha
         (self.v, self.p), (w, q) = split(level), split(ufl.TestFunction(self.V))
         motion = None if moving is None else moving.motion
@@ -266,6 +267,9 @@ class Flow:
             velocity: UFL vector, numbers, or a callable of coordinates and time; None: at rest.
             pressure: UFL scalar, number or callable; None: zero.
             projected: whether to project in L2 instead of interpolating at the nodes.
+
+        Raises:
+            ValueError: the velocity is not a finite vector of shape (d,), or the pressure not finite.
         """
         domain, d = self.mesh.domain, self.mesh.domain.geometry.dim
         x = ufl.SpatialCoordinate(domain)
@@ -273,7 +277,8 @@ class Flow:
             x = x + self.moving.time.x_old
         t = fem.Constant(domain, 0.0 if self.time is None else self.time.time)
         u, p = given(velocity, x, t), given(pressure, x, t)
-        components = [0.0] * d if u is None else [u[i] for i in range(d)]
+        components = [0.0] * d if u is None else list(vector("velocity", u, d))
+        checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
         state = ufl.as_vector([*components, 0.0 if p is None else p])
         if projected:
             project(self.w, state, 2 * self.degree + 2)
@@ -308,6 +313,7 @@ class Flow:
         time = self.time
         if time is None:
             raise ValueError("dt = None: a steady flow has no steps")
+        check_clock(time, self.moving)
         try:
             time.predict()
             if self.moving is not None:
@@ -321,11 +327,13 @@ class Flow:
             if self._solid is not None and self.moving is not None:
                 self.moving.check()
             measured = None if measure is None else measure()
-        except SolveError as error:
-            t = float(time.t.value)
+        except Exception as error:
             time.restore()
             if self.moving is not None:
                 self.moving.time.restore()
+            if not isinstance(error, SolveError):
+                raise
+            t = float(time.t.value)
             raise FlowError(f"the step to t = {t:.6g} (dt = {time.step_size:.3g}) failed: {error}", t) from error
         time.advance()
         if self.moving is not None:

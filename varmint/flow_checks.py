@@ -7,18 +7,20 @@ import numpy as np
 from mpi4py import MPI
 
 from tigar_x import checks, compat
+from tigar_x.time_integration import Scheme, TimeIntegrator, companion
 from varmint.conditions import Condition
 from varmint.mesh import NamedMesh
 from varmint.motion import ElasticMotion
 
 
-def check_numbers(rho: Any, mu: Any, dt: Any, moving: Any, solid: Any) -> None:
+def check_numbers(rho: Any, mu: Any, dt: Any, scheme: Scheme, moving: Any, solid: Any) -> None:
     """Check the numbers and the attachments of a flow.
 
     Args:
         rho: density.
         mu: dynamic viscosity.
         dt: time step; None: steady flow.
+        scheme: of time integration.
         moving: motion of the mesh; None: it is fixed.
         solid: solid in the flow; None: none.
 
@@ -33,8 +35,27 @@ def check_numbers(rho: Any, mu: Any, dt: Any, moving: Any, solid: Any) -> None:
         raise ValueError("dt = None: a time step is required where the mesh moves or a solid is in the flow")
     if moving is not None and dt != moving.time.step_size:
         raise ValueError(f"dt = {dt!r}: that of the moving mesh, {moving.time.step_size!r}, is required")
+    if moving is not None and companion(scheme) != moving.time.scheme:
+        raise ValueError(f"scheme = {scheme!r}: that of the moving mesh is required")
     if solid is not None and not isinstance(moving, ElasticMotion):
         raise ValueError(f"moving = {moving!r}: a solid in the flow requires an ElasticMotion of the other cells")
+
+
+def check_clock(time: TimeIntegrator, moving: Any) -> None:
+    """Check that flow and mesh are at the same time and take the same step.
+
+    Args:
+        time: of the flow.
+        moving: motion of the mesh; None: it is fixed.
+
+    Raises:
+        ValueError: they differ.
+    """
+    if moving is None:
+        return
+    for name, own, other in (("dt", time.step_size, moving.time.step_size), ("t", time.time, moving.time.time)):
+        if own != other:
+            raise ValueError(f"{name} = {own!r}: that of the moving mesh, {other!r}, is required")
 
 
 def _positive_if_steady(name: str, value: Any) -> float:
