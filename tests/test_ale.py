@@ -128,6 +128,24 @@ def test_an_exact_solution_leaves_no_strong_residual_on_a_curved_mesh(simple):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+def test_an_exact_solution_on_a_curved_mesh_leaves_no_residual(degree):
+    """In the interior and at the boundary, to the quadrature; if the displacement counts as linear, it does."""
+    flow = Flow("triangle", n=2)
+    V = flow.constant([0.4, -0.3])
+    motion = Motion(flow.mesh, curved(flow.x), V, degree)
+    X = ale.position(flow.mesh, motion)
+    v, p = ufl.as_vector([X[1] ** 2, X[0] * X[0]]), X[0] * X[1]
+    grad = ufl.as_matrix([[0.0, 2 * X[1]], [2 * X[0], 0.0]])
+    f = grad * (v - V) + (ufl.as_vector([X[1], X[0]]) - MU * ufl.as_vector([2.0, 2.0])) / RHO
+    ds = ufl.ds(domain=flow.mesh, metadata={"quadrature_degree": 14})
+    common = dict(rho=RHO, mu=MU, motion=motion)
+    residual = interior_residual(v, p, flow.w, flow.q, flow.mesh, f=f, quadrature_degree=14, **common)
+    residual += weak_dirichlet(v, p, flow.w, flow.q, v, flow.mesh, ds, **common)
+    assert (flow.assemble(residual).norm() < 1e-11) is (degree == 2)
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize(("cell", "degree"), KINDS)
 def test_volumes_areas_and_normals(cell, degree):
     """Present volume, centroid, boundary and its normals, against those of the mesh that lies there."""

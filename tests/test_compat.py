@@ -85,7 +85,6 @@ def test_interpolation_in_some_cells():
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="numbers are written at all nodes")
 def test_interpolation_of_numbers_in_some_cells():
     domain = grid("triangle", 4)
     V = compat.lagrange_space(domain, 1)
@@ -97,7 +96,6 @@ def test_interpolation_of_numbers_in_some_cells():
     np.testing.assert_array_equal(f.x.array[~low], 0.0)
 
 
-@pytest.mark.xfail(strict=True, reason="numbers are not checked")
 @pytest.mark.parametrize("expression", [ufl.as_vector([1.0, 2.0, 3.0]), ufl.as_ufl(1.0)])
 def test_numbers_of_a_wrong_shape(expression):
     """As an expression of coordinates they are refused."""

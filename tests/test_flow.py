@@ -13,7 +13,7 @@ from flows import randomise, slope_error
 
 from coudalfish.subproblems import FluidSubproblem
 from tigar_x import compat
-from tigar_x.linear import SolveError, gmres_ilu
+from tigar_x.linear import SolveError, direct, gmres_ilu
 from tigar_x.solve import newton
 from tigar_x.time_integration import backward_euler, generalized_alpha
 from varmint import ale
@@ -885,3 +885,9 @@ def test_steady_and_unsteady_flows_have_their_own_verbs():
         cavity("pin").take_step()
     with pytest.raises(ValueError, match=r"^dt = 0.1: a steady flow has none"):
         cavity("pin", dt=0.1).solve()
+
+
+def test_a_null_space_needs_an_iterative_solver():
+    flow = Flow(square(1), WALLS, rho=1.0, mu=1.0, options=FlowOptions(pressure="null space", solver=direct()))
+    with pytest.raises(ValueError, match=r"^pressure = 'null space': an iterative solver is required"):
+        flow.compile()

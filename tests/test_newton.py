@@ -282,7 +282,6 @@ def test_a_kept_tangent_that_leaves_the_numbers_is_given_up():
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="a direct solver that has failed once fails ever after")
 def test_a_kept_tangent_that_is_singular_is_given_up():
     system = Pointwise(lambda u: u**2 - 1, 0.0).system
     system.assemble_residual()
@@ -297,7 +296,6 @@ def test_a_kept_tangent_that_is_singular_is_given_up():
 
 
 @pytest.mark.mpi
-@pytest.mark.xfail(strict=True, reason="a line search along a kept tangent's increment that fails ends the iteration")
 def test_a_line_search_that_fails_along_a_kept_tangent_is_tried_with_a_new_one():
     """From u = 3 with the slope of u = -1, which is negative."""
     system = Pointwise(lambda u: u**2 + 2 * u - 3, -3.0).system

@@ -273,6 +273,11 @@ class PreparedSolver:
             return False
         return not self._direct or self._solves(b, x)
 
+    def _discard(self) -> None:
+        """A factorisation that has failed once is not made again by PETSc, whatever becomes of the matrix."""
+        self._ksp.destroy()
+        del self._ksp
+
     def _solves(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Whether a factorisation has reduced the residual at all; that of a singular matrix may not."""
         if self._residual is None:
@@ -325,6 +330,7 @@ class PreparedSolver:
         if solved:
             return max(iterations, 1)
         reason, self._kept_iterations = self._ksp.getConvergedReason(), None
+        self._discard()
         if self.recipe.fallback is None:
             what = "the matrix is singular or not finite" if self._direct else f"PETSc reason {reason}"
             raise SolveError(f"{self.recipe.name} failed after {iterations} iterations ({what})")

@@ -274,12 +274,15 @@ def newton(
         try:
             step, new = _move(system, increment, norm, line_search)
         except SolveError:
-            if norm > stalled * target:
+            if not kept and norm > stalled * target:
                 raise
-            log.info("Newton stalls at %.2e of an accepted %.2e", norm, target)
             steps.append(0.0)
             norms.append(norm)
-            break
+            if not kept:
+                log.info("Newton stalls at %.2e of an accepted %.2e", norm, target)
+                break
+            kept, norm = False, system.assemble_residual()
+            continue
         if kept and not new < norm:
             increment.scale(-step)
             system.subtract(increment)

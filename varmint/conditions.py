@@ -232,7 +232,8 @@ class WeakVelocity(Condition):
 class Slip(Condition):
     """Impermeable wall without friction: the normal velocity is that of the mesh.
 
-    On facets normal to an axis the component is imposed at the nodes, on others weakly, as everywhere on a moving mesh.
+    Where all facets are normal to axes the components are imposed at the nodes; where one is not, and on moving meshes,
+    the condition is weak on all.
 
     Attributes:
         on: facet groups.

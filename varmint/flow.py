@@ -232,6 +232,8 @@ class Flow:
     @property
     def _by_null_space(self) -> bool:
         chosen = self.options.pressure
+        if chosen == "null space" and self.recipe.is_direct:
+            raise ValueError(f"pressure = 'null space': an iterative solver is required, {self.recipe.name} is given")
         return chosen == "null space" or (chosen == "automatic" and not self.recipe.is_direct)
 
     @property

@@ -48,15 +48,16 @@ class PlaneField:
         if parts is None:
             return
         nodes, self.values, cells = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        # nodes of several ranks are one
+        _, first, number = np.unique(np.round(nodes / np.ptp(nodes), 9), axis=0, return_index=True, return_inverse=True)
+        nodes, self.values, cells = nodes[first], self.values[first], number.reshape(-1)[cells]
         self.x = nodes[:, :2]
         if V.mesh.geometry.dim == 2:
             self.triangles = cells if cells.shape[1] == 3 else np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])
             return
         from scipy.spatial import Delaunay
 
-        plane = np.flatnonzero(np.isclose(nodes[:, 2], nodes[:, 2].min()))
-        _, first = np.unique(np.round(self.x[plane], 9), axis=0, return_index=True)
-        plane = plane[first]
+        plane = np.isclose(nodes[:, 2], nodes[:, 2].min())
         self.x, self.values = self.x[plane], self.values[plane]
         self.triangles = Delaunay(self.x).simplices
 

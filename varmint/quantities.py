@@ -111,6 +111,9 @@ class Measured:
 class BoundaryForce:
     """Force of the fluid on facet groups, from the fluid's residual at the level of the equations.
 
+    Where a group ends at another one with values at the nodes, the nodes that both share carry a part of the other's
+    force as well, a difference of first order; on bodies by themselves, and beside other conditions, there is none.
+
     In a step it belongs to the state before the clocks move, see ``measure`` of :meth:`varmint.flow.Flow.take_step`.
 
     Args:

@@ -120,7 +120,10 @@ def component_view(space: fem.FunctionSpace, component: int) -> fem.FunctionSpac
 
 def cell_dofs(space: fem.FunctionSpace) -> IntArray:
     """Local (block) dof numbers of every local cell, shape (cells, dofs per cell)."""
-    return table(space.dofmap.list)
+    rows = space.dofmap.list
+    if VERSION < (0, 9) and rows.num_nodes == 0:
+        return np.zeros((0, space.dofmap.dof_layout.num_dofs), dtype=np.int32)
+    return table(rows)
 
 
 def tabulate(space: fem.FunctionSpace, points: FloatArray) -> FloatArray:
@@ -199,9 +202,14 @@ class Interpolation:
         function: target, in a Lagrange space.
         expression: UFL expression of the same value shape.
         cells: local cells to whose nodes it is restricted; None: all.
+
+    Raises:
+        ValueError: the shapes differ.
     """
 
     def __init__(self, function: fem.Function, expression: Any, cells: IntArray | None = None) -> None:
+        if expression.ufl_shape != function.ufl_shape:
+            raise ValueError(f"expression has shape {expression.ufl_shape}: shape {function.ufl_shape} is required")
         self._function = function
         self._cells = cells
         self._numbers: FloatArray | None = None
@@ -222,7 +230,11 @@ class Interpolation:
     def __call__(self) -> None:
         """Interpolate (collective)."""
         if self._numbers is not None:
-            self._function.x.array.reshape(-1, self._numbers.size)[:] = self._numbers
+            nodes = (
+                slice(None) if self._cells is None else cell_dofs(self._function.function_space)[self._cells].ravel()
+            )
+            self._function.x.array.reshape(-1, self._numbers.size)[nodes] = self._numbers
+            self._function.x.scatter_forward()
             return
         arguments = () if self._cells is None else (self._cells,)
         self._function.interpolate(self._compiled, *arguments)
