@@ -652,7 +652,6 @@ def test_a_step_that_fails_leaves_everything_as_it_was(scheme):
     assert not same(states(flow), before)
 
 
-@pytest.mark.mpi
 def test_a_step_that_fails_changes_nothing_in_what_follows():
     ended = []
     for fails in (False, True):

@@ -52,7 +52,6 @@ def test_iterative_solvers_find_the_flow_of_a_direct_one(solver):
         assert found[name] == pytest.approx(expected[name], rel=1e-5)
 
 
-@pytest.mark.mpi
 def test_kept_factors_find_the_vortex_of_new_ones():
     flows = [VORTEX.build(16, keep=keep, rtol=1e-9) for keep in (None, 0.2)]
     tangents = [sum(flow.take_step().tangents for _ in range(4)) for flow in flows]
