@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from coudalfish.mesh_motion import check_levels
 from coudalfish.options import CouplingOptions, PenaltyRule
 from coudalfish.report import RejectedStepError, StepError, StepReport
 from coudalfish.step import Step
@@ -19,6 +20,7 @@ from coudalfish.trace import PointLocator
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.linear import SolveError
+from tigar_x.time_integration import TimeIntegrator
 
 log = logging.getLogger(__name__)
 
@@ -83,17 +85,27 @@ class CouDALFISh:
                 f"alpha_f: fluid {self.timeInt_f.scheme.alpha_f}, shell {self.timeInt_sh.scheme.alpha_f}: both sides "
                 "must share the intermediate level (use first_order_alpha_m=True and the same rho_infinity)"
             )
+        if self.fluid.moving is not None:
+            check_levels(self.fluid.moving, self.timeInt_f)
         if isinstance(self.options.penalty, PenaltyRule) and None in (self.fluid.density, self.fluid.viscosity):
             raise ValueError("a penalty rule needs the fluid's density and viscosity; give them or a number as penalty")
 
     @property
+    def integrators(self) -> tuple[TimeIntegrator, ...]:
+        """All that advance together: fluid, shell, and the fluid's mesh where it moves."""
+        moving = self.fluid.moving
+        both = self.timeInt_f, self.timeInt_sh
+        return both if moving is None else (*both, moving.time)
+
+    @property
     def step_size(self) -> float:
-        """Step size of both integrators; assign to change it. Unit: time."""
+        """Step size of all integrators; assign to change it. Unit: time."""
         return self.timeInt_f.step_size
 
     @step_size.setter
     def step_size(self, value: float) -> None:
-        self.timeInt_f.step_size = self.timeInt_sh.step_size = value
+        for integrator in self.integrators:
+            integrator.step_size = value
 
     @property
     def penalty(self) -> float:
@@ -122,8 +134,8 @@ class CouDALFISh:
         except BaseException:
             restore()
             raise
-        self.timeInt_f.advance()
-        self.timeInt_sh.advance()
+        for integrator in self.integrators:
+            integrator.advance()
         return report
 
     def _attempt(self, restore: Callable[[], None]) -> StepReport:
@@ -144,7 +156,7 @@ class CouDALFISh:
 
     def _save(self) -> Callable[[], None]:
         """Remember what a step changes before it is accepted; the integrators' old states are not among it."""
-        fields = [self.timeInt_f.x.x.array, self.timeInt_sh.x.x.array]
+        fields = [integrator.x.x.array for integrator in self.integrators]
         saved = [array.copy() for array in fields]
         lam = self.lam
 

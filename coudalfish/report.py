@@ -36,7 +36,7 @@ class StepError(RuntimeError):
     """A step that could not be accepted; the state is that of the last good step.
 
     Attributes:
-        block: "fluid", "shell" or "coupling".
+        block: "mesh", "fluid", "shell" or "coupling".
         suspect: the number that most likely is to blame, in words.
         report: what was done until then.
     """
@@ -52,7 +52,7 @@ class RejectedStepError(Exception):
     """Ends an attempt at a step from within.
 
     Args:
-        block: "fluid", "shell" or "coupling".
+        block: "mesh", "fluid", "shell" or "coupling".
         reason: what happened.
     """
 

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from coudalfish import exchange
 from coudalfish.acceleration import Anderson
 from coudalfish.acceptance import Acceptance
+from coudalfish.mesh_motion import MeshMotion, displacement_of_cells
 from coudalfish.monitors import Monitors, measure
 from coudalfish.report import RejectedStepError, StepError, StepReport
 from coudalfish.trace import Location, trace_matrix
@@ -43,7 +44,7 @@ class Step:
         cautious: under-relax the shell, accelerate from the start and assemble tangents in every pass.
 
     Attributes:
-        block: where the attempt is, "fluid", "shell" or "coupling".
+        block: where the attempt is, "mesh", "fluid", "shell" or "coupling".
     """
 
     def __init__(self, coupler: "CouDALFISh", *, cautious: bool = False) -> None:
@@ -72,11 +73,22 @@ class Step:
         return self._finish()
 
     def _predict(self) -> None:
+        if self.fluid.moving is not None:
+            self._move(self.fluid.moving)
         for side in (self.fluid, self.shell):
             side.timeInt.predict()
             for update in side.updates:
                 update(float(side.timeInt.t_alpha.value))
         self.fluid.system.apply_boundary_values()
+
+    def _move(self, moving: MeshMotion) -> None:
+        """The mesh at the end of the step, and its cells at the intermediate level."""
+        self.block = "mesh"
+        moving.time.predict()
+        moving.move()
+        moving.check()
+        self.c.locator.displace(displacement_of_cells(moving))
+        self.block = "coupling"
 
     def _place(self) -> None:
         """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
@@ -265,6 +277,8 @@ class Step:
 
     def suspect(self) -> str:
         """The number that exceeds its advised limit most, or a statement that none does."""
+        if self.block == "mesh":
+            return "the motion of the mesh in this step (reduce dt)"
         h = self.fluid.mesh_size
         speed = self.fluid.speed()
         points = len(self.c.lam)

@@ -11,6 +11,7 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from coudalfish.band import SurfaceBand
+from coudalfish.mesh_motion import MeshMotion, check_displacement
 from coudalfish.trace import TraceMatrix
 from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
@@ -37,6 +38,7 @@ class FluidSubproblem:
         timeInt_f: integrator of the unknown (velocity, pressure), with the pressure algebraic.
         bcs: strong boundary conditions.
         band: the band whose scales the residual contains; None: the residual contains none.
+        moving: motion of the mesh that is pulled back in the residual; None: the mesh is fixed.
         solver: linear solver recipe; None: by size and layout, see :func:`tigar_x.linear.automatic`.
         tangent: UFL tangent; None: the derivative of the residual.
         updates: called with t_alpha at the start of every step, for data that are not UFL expressions in time.
@@ -47,10 +49,11 @@ class FluidSubproblem:
         mesh_size: size h of the cells near the surface, for a penalty rule and for warnings; None: see below.
 
     Attributes:
-        mesh_size: h, as given or the median over the cells of their shortest edges; unit: length.
+        mesh_size: h, as given or the median over the cells of their shortest edges, at rest; unit: length.
+        moving: as given.
 
     Raises:
-        ValueError: the unknown has not d + 1 components.
+        ValueError: the unknown has not d + 1 components, or points cannot be located in the mesh that moves.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class FluidSubproblem:
         *,
         bcs: Sequence[Any] = (),
         band: SurfaceBand | None = None,
+        moving: MeshMotion | None = None,
         solver: LinearSolver | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),
@@ -74,6 +78,9 @@ class FluidSubproblem:
         self.comm = mesh_f.comm
         self.timeInt = timeInt_f
         self.band = band
+        self.moving = moving
+        if moving is not None:
+            check_displacement(moving, mesh_f)
         self.updates = tuple(updates)
         self.density = None if density is None else checks.positive("density", density)
         self.viscosity = None if viscosity is None else checks.not_negative("viscosity", viscosity)

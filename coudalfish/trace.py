@@ -14,9 +14,12 @@ from dolfinx import fem, mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.linear import SolveError
 
 INSIDE = 1e-10
 """A point is in a cell when no barycentric coordinate is below minus this."""
+FLAT = 1e-14
+"""A cell has no size when its volume is below this times that of a cube over its largest edge, or that at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,11 @@ class Location:
         return self.cells >= 0
 
 
+def _edges(x: FloatArray) -> FloatArray:
+    """Edges of simplices from their first vertices, as columns, shape (cells, d, d)."""
+    return np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)
+
+
 class PointLocator:
     """Finds the cells of moving points in a mesh of affine simplices.
 
@@ -59,20 +67,44 @@ class PointLocator:
             raise ValueError("mesh has no cell: at least one is required")
         self._mesh = domain  # its communicator lives as long as it does
         self._comm = domain.comm
-        x = compat.cell_vertices(domain)[: compat.owned_cells(domain)]
-        edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)
-        volumes = np.linalg.det(edges)
-        size = float(np.abs(x).max(initial=0.0))
-        bad = np.flatnonzero(
-            ~(np.abs(volumes) > 1e-14 * np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim)
-        )
-        if domain.comm.allreduce(len(bad), op=MPI.SUM):
-            where = x[bad[0]].mean(axis=0) if len(bad) else "another rank"
-            raise ValueError(f"mesh has a cell of zero size near {where}: cells of positive size are required")
-        self._origins = x[:, 0]
-        self._inverses = np.linalg.inv(edges)
-        self._tree = compat.bounding_box_tree(domain, padding=INSIDE * max(size, 1e-300)) if len(x) else None
+        self._displaced: FloatArray | None = None
+        self._tree: Any = None
         self._previous: IntArray | None = None
+        x = self._at_rest()
+        edges = _edges(x)
+        cubes = np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim
+        place = self._first(~(np.abs(np.linalg.det(edges)) > FLAT * cubes), x)
+        if place:
+            raise ValueError(f"mesh has a cell of zero size near {place}: cells of positive size are required")
+        self._origins, self._inverses = x[:, 0], np.linalg.inv(edges)
+
+    def _at_rest(self) -> FloatArray:
+        return compat.cell_vertices(self._mesh)[: compat.owned_cells(self._mesh)]
+
+    def _first(self, bad: Any, x: FloatArray) -> str:
+        """The middle of the first bad cell in words; empty when there is none on any rank (collective)."""
+        if not self._comm.allreduce(int(bad.sum()), op=MPI.SUM):
+            return ""
+        return str(x[np.argmax(bad)].mean(axis=0)) if bad.any() else "another rank"
+
+    def displace(self, u: FloatArray) -> None:
+        """Move the cells, so that points are then located among the displaced ones (collective).
+
+        Args:
+            u: displacement of the vertices of the cells that this rank owns from where the mesh has them, shape
+                (cells, vertices, d); unit: length.
+
+        Raises:
+            SolveError: a displaced cell is flat or inside out.
+        """
+        rest = self._at_rest()
+        x = rest + u
+        edges = _edges(x)
+        place = self._first(~(np.linalg.det(edges) / np.linalg.det(_edges(rest)) > FLAT), x)
+        if place:
+            raise SolveError(f"a cell of the moving mesh is flat or inside out where points are located, near {place}")
+        self._origins, self._inverses = x[:, 0], np.linalg.inv(edges)
+        self._displaced, self._tree = x, None
 
     def _barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
         result = np.empty((len(cells), x.shape[1] + 1))
@@ -80,11 +112,17 @@ class PointLocator:
         np.subtract(1.0, result[:, 1:].sum(axis=1), out=result[:, 0])
         return result
 
+    def _make_tree(self) -> Any:
+        size = np.abs(self._at_rest() if self._displaced is None else self._displaced).max()
+        return compat.bounding_box_tree(self._mesh, INSIDE * max(float(size), 1e-300), self._displaced)
+
     def _search(self, x: FloatArray) -> IntArray:
         """Cells of points by the tree, -1 where this rank has none; ties go to the cell that holds it deepest."""
         found = np.full(len(x), -1, dtype=np.int32)
-        if self._tree is None or not len(x):
+        if not (len(self._origins) and len(x)):
             return found
+        if self._tree is None:
+            self._tree = self._make_tree()
         padded = np.zeros((len(x), 3))
         padded[:, : x.shape[1]] = x
         cells, offsets = compat.candidate_cells(self._tree, padded)

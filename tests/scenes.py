@@ -76,25 +76,51 @@ def sheet_in_flow(
         domain, residual, time, bcs=[pin], band=band, solver=solver or direct(), density=rho, viscosity=mu
     )
 
-    a, b = L * np.array(ends[0]), L * np.array(ends[1])
-    line = shapes.line(a, b, elements=density_of_points, degree=1 if weights is None else 2)
+    sheet = free_sheet(
+        velocity if sheet_velocity is None else sheet_velocity,
+        ends=L * np.array(ends),
+        elements=density_of_points,
+        dt=dt,
+        rho_infinity=rho_infinity,
+        rho_s=rho_s,
+        thickness=0.05 * L,
+        stiffness=stiffness,
+        traction=traction,
+        weights=weights,
+    )
+    fsi = CouDALFISh(fluid, sheet.shell, CouplingOptions() if options is None else options)
+    return SimpleNamespace(fsi=fsi, fluid=fluid, w=w, g=g, mu=c_mu, domain=domain, **vars(sheet))
+
+
+def free_sheet(
+    velocity=(0.0, 0.0),
+    *,
+    ends=((0.35, 0.25), (0.45, 0.75)),
+    elements=16,
+    dt=0.1,
+    rho_infinity=0.5,
+    rho_s=1.0,
+    thickness=0.05,
+    stiffness=10.0,
+    traction=0.0,
+    weights=None,
+):
+    """A straight elastic sheet without supports that has a uniform velocity."""
+    line = shapes.line(*np.asarray(ends), elements=elements, degree=1 if weights is None else 2)
     patch = line if weights is None else Patch.from_points(line.bases, line.points, weights(line.basis.n))
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=6)
-    start = velocity if sheet_velocity is None else sheet_velocity
     y = spline.function(name="y")
-    shell_time = TimeIntegrator(
+    time = TimeIntegrator(
         y,
         dt,
         generalized_alpha(rho_infinity, 2, first_order_alpha_m=True),
-        xdot=spline.function(patch.weights[:, None] * np.asarray(start, dtype=float)),
+        xdot=spline.function(patch.weights[:, None] * np.asarray(velocity, dtype=float)),
     )
-    zs = ufl.TestFunction(spline.V)
-    E, h, c_rho_s = (fem.Constant(spline.mesh, float(x)) for x in (stiffness, 0.05 * L, rho_s))
+    z = ufl.TestFunction(spline.V)
+    E, h, c_rho_s = (fem.Constant(spline.mesh, float(x)) for x in (stiffness, thickness, rho_s))
     material = StVenantKirchhoff(E, 0.3, h, bending=False)
-    shell_residual = virtual_work(spline, lambda u: strain_energy(spline, material, u), shell_time.x_alpha, zs)
-    shell_residual += inertia(spline, shell_time.xddot_alpha, zs, density=c_rho_s, thickness=h)
+    residual = virtual_work(spline, lambda u: strain_energy(spline, material, u), time.x_alpha, z)
+    residual += inertia(spline, time.xddot_alpha, z, density=c_rho_s, thickness=h)
     load = fem.Constant(spline.mesh, np.array([float(traction), 0.0]))
-    shell_residual -= ufl.inner(load, spline.rationalize(zs)) * spline.dx
-    shell = ShellSubproblem(spline, shell_residual, shell_time, solver=direct("petsc"))
-    fsi = CouDALFISh(fluid, shell, CouplingOptions() if options is None else options)
-    return SimpleNamespace(fsi=fsi, fluid=fluid, shell=shell, w=w, y=y, g=g, mu=c_mu, load=load, domain=domain)
+    residual -= ufl.inner(load, spline.rationalize(z)) * spline.dx
+    return SimpleNamespace(shell=ShellSubproblem(spline, residual, time, solver=direct("petsc")), y=y, load=load)

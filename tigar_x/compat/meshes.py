@@ -155,10 +155,33 @@ def owned_cells(domain: mesh.Mesh) -> int:
     return int(domain.topology.index_map(domain.topology.dim).size_local)
 
 
-def bounding_box_tree(domain: mesh.Mesh, padding: float) -> Any:
-    """Bounding box tree of the cells that this rank owns."""
+def global_cells(domain: mesh.Mesh, cells: IntArray) -> NDArray[np.int64]:
+    """Global numbers of local cells."""
+    return np.asarray(domain.topology.index_map(domain.topology.dim).local_to_global(cells), dtype=np.int64)
+
+
+def bounding_box_tree(domain: mesh.Mesh, padding: float, vertices: FloatArray | None = None) -> Any:
+    """Bounding box tree of the cells that this rank owns.
+
+    Args:
+        domain: mesh.
+        padding: by which the boxes are larger than the cells; unit: length.
+        vertices: where the vertices of affine cells lie instead of where the mesh has them, shape (owned cells,
+            vertices, geometric dimension); None: the cells are where they are.
+
+    Returns:
+        The tree.
+    """
     cells = np.arange(owned_cells(domain), dtype=np.int32)
-    return _tree(domain, domain.topology.dim, entities=cells, padding=padding)
+    if vertices is None:
+        return _tree(domain, domain.topology.dim, entities=cells, padding=padding)
+    x = domain.geometry.x
+    before = x.copy()
+    x[cell_nodes(domain)[: len(cells)], : domain.geometry.dim] = vertices
+    try:
+        return _tree(domain, domain.topology.dim, entities=cells, padding=padding)
+    finally:
+        x[:] = before
 
 
 def candidate_cells(tree: Any, points: FloatArray) -> tuple[IntArray, IntArray]:
