@@ -39,7 +39,7 @@ class CouDALFISh:
         spline_sh: the shell's spline.
         timeInt_f: the flow's integrator.
         timeInt_sh: the shell's integrator.
-        contactContext_sh: None: no contact.
+        contactContext_sh: the shell's contact; None: no contact.
         locator: finds the immersed points in the fluid mesh.
         floors: residuals (fluid, shell) below which the last step had nothing left to solve for; unit: force.
         lam: multiplier at the immersed points, force of the fluid on the shell along its normal, shape (points,).
@@ -47,8 +47,6 @@ class CouDALFISh:
     Raises:
         ValueError: the subproblems do not fit each other or the options.
     """
-
-    contactContext_sh = None
 
     def __init__(
         self,
@@ -65,6 +63,7 @@ class CouDALFISh:
         self.spline_sh = shell.spline
         self.timeInt_f = fluid.timeInt
         self.timeInt_sh = shell.timeInt
+        self.contactContext_sh = shell.contact
         self._check()
         points = shell.quadrature.points
         self.lam = np.broadcast_to(np.asarray(multiplier, dtype=np.float64), (len(points),)).copy()

@@ -6,6 +6,25 @@ from coudalfish.monitors import Monitors
 
 
 @dataclass(frozen=True)
+class ContactReport:
+    """Contact at the end of a step, at its intermediate level.
+
+    Attributes:
+        pairs: number of interacting pairs of points.
+        load: sum of the forces between them without regard to direction; unit: force.
+        energy: of the potential; unit: energy.
+        distance: smallest distance of an interacting pair, inf without any; unit: length.
+        closing_ratio: largest approach in the step of two points that may interact, relative to the range of contact.
+    """
+
+    pairs: int
+    load: float
+    energy: float
+    distance: float
+    closing_ratio: float
+
+
+@dataclass(frozen=True)
 class StepReport:
     """What a step did.
 
@@ -19,6 +38,7 @@ class StepReport:
         inactive_points: immersed points outside the fluid mesh.
         slip_ratio: ``max|lam| dt/(beta h)``.
         monitors: slip, leak and balance; None when the step failed.
+        contact: None when the step failed or the shell has no contact.
     """
 
     t: float
@@ -30,6 +50,7 @@ class StepReport:
     inactive_points: int
     slip_ratio: float
     monitors: Monitors | None
+    contact: ContactReport | None = None
 
 
 class StepError(RuntimeError):

@@ -15,7 +15,7 @@ from coudalfish.acceleration import Anderson
 from coudalfish.acceptance import Acceptance
 from coudalfish.mesh_motion import MeshMotion, displacement_of_cells
 from coudalfish.monitors import Monitors, measure
-from coudalfish.report import RejectedStepError, StepError, StepReport
+from coudalfish.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.trace import Location, trace_matrix
 from tigar_x.compat import FloatArray
 
@@ -32,6 +32,8 @@ UNDER_RELAXATION = 0.5
 """Share of the shell's increments that a cautious attempt takes."""
 TIME_STEP_LIMIT = 1e-3
 """Smallest time step relative to the scales of the fluid's cells, dt (|u|/h + nu/h^2), before a warning."""
+CLOSING_LIMIT = 0.3
+"""Largest approach of two points in a step relative to the range of contact before a warning."""
 COURANT_LIMIT = 0.5
 """Largest displacement per step relative to the fluid's cells that explicit geometry bears well."""
 
@@ -180,7 +182,9 @@ class Step:
     def _solve_shell(self, fresh: bool) -> None:
         self.block = "shell"
         if fresh:
-            self.shell.assemble_tangent(self.W, self.beta)
+            self.shell.assemble_tangent(self.W, self.beta, positive=self.cautious)
+        elif self.shell.touching is not None:
+            self.shell.renew_contact()
         y = self.shell.timeInt.x.x.array
         before = y.copy()
         self.shell.solve()
@@ -226,7 +230,7 @@ class Step:
         on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
         monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
         self.c.lam = lam
-        report = self.report(monitors)
+        report = self.report(monitors, self._contact())
         self._warn_of_small_step()
         if report.slip_ratio > SLIP_LIMIT:
             self.c.warn_once(
@@ -238,6 +242,32 @@ class Step:
                 self.beta,
             )
         return report
+
+    def _contact(self) -> ContactReport | None:
+        contact = self.shell.contact
+        if contact is None:
+            return None
+        closing = self.shell.closing_ratio()
+        if closing > CLOSING_LIMIT:
+            self.c.warn_once(
+                "closing",
+                "points approach each other by %.3g of the range of contact in a step: surfaces may pass each other "
+                "(at most %g is advised; reduce dt)",
+                closing,
+                CLOSING_LIMIT,
+            )
+        if contact.spacing_ratio > SPACING_LIMIT:
+            self.c.warn_once(
+                "contact spacing",
+                "points are up to %.3g times the range of contact apart: surfaces may pass between them (at most %g is "
+                "advised; refine the shell or raise r_max)",
+                contact.spacing_ratio,
+                SPACING_LIMIT,
+            )
+        found = self.shell.touching
+        if found is None:
+            return ContactReport(0, 0.0, 0.0, math.inf, closing)
+        return ContactReport(found.pairs, found.load, found.energy, found.distance, closing)
 
     def _warn_of_small_step(self) -> None:
         if self.fluid.density is None or self.fluid.viscosity is None:
@@ -256,7 +286,7 @@ class Step:
                 TIME_STEP_LIMIT,
             )
 
-    def report(self, monitors: Monitors | None) -> StepReport:
+    def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
         """What has been done so far."""
         return StepReport(
             t=self.c.timeInt_f.time + self.dt,
@@ -268,6 +298,7 @@ class Step:
             inactive_points=self.inactive,
             slip_ratio=float(np.abs(self.c.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
             monitors=monitors,
+            contact=contact,
         )
 
     def failure(self, error: Exception) -> StepError:
@@ -288,6 +319,9 @@ class Step:
             "point spacing/h (refine the shell)": (self.spacing / h, SPACING_LIMIT),
             "fraction of points outside the fluid mesh": (self.inactive / points, 0.5),
         }
+        if self.shell.touching is not None:
+            closing = "approach of touching points in the step/range of contact (reduce dt or the contact's stiffness)"
+            numbers[closing] = (self.shell.closing_ratio(), CLOSING_LIMIT)
         if self.acceptance.limits[0] > 0.0:
             leftover = self.fluid.linear_accuracy / self.acceptance.limits[0]
             numbers["linear solver's residual/accepted residual (tighten its rtol)"] = (leftover, 1.0)

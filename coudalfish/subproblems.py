@@ -13,6 +13,8 @@ from petsc4py import PETSc
 from coudalfish.band import SurfaceBand
 from coudalfish.mesh_motion import MeshMotion, check_displacement
 from coudalfish.trace import TraceMatrix
+from shnapr.contact import ContactForces, SelfContact
+from shnapr.contact_system import ContactSystem
 from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
@@ -219,9 +221,12 @@ class ShellSubproblem:
         solver: linear solver recipe; None: direct.
         tangent: UFL tangent; None: the derivative of the residual.
         updates: called with t_alpha at the start of every step.
+        contact: contact of the shell, or of several in one spline, with itself, on ``NodalQuadrature.of(spline_sh)``;
+            None: there is none, and no object for it.
 
     Attributes:
         quadrature: the immersed points.
+        contact: as given.
 
     Raises:
         ValueError: the spline is distributed.
@@ -236,14 +241,20 @@ class ShellSubproblem:
         solver: LinearSolver | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),
+        contact: SelfContact | None = None,
     ) -> None:
         self.spline = spline_sh
         self.timeInt = timeInt_sh
         self.updates = tuple(updates)
-        self.quadrature = NodalQuadrature.of(spline_sh)
+        self.contact = contact
+        self.quadrature = NodalQuadrature.of(spline_sh) if contact is None else contact.quadrature
         y: fem.Function = timeInt_sh.x
         jacobian = ufl.derivative(residual_sh, y) if tangent is None else tangent
-        self.system = SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y)
+        self.system = (
+            SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y)
+            if contact is None
+            else ContactSystem(spline_sh, residual_sh, jacobian, contact, unknown=y, time=timeInt_sh, solver=solver)
+        )
         _, cells = compat.subcells(spline_sh.V)
         self._edges = np.stack([cells, np.roll(cells, 1, axis=1)], axis=-1).reshape(-1, 2)
         self._projector = spline_sh.lumped_projector
@@ -298,13 +309,36 @@ class ShellSubproblem:
         """Norm of point forces on the spline's functions; unit: force."""
         return float(np.linalg.norm(self.system.extract(forces / self.quadrature.rational[:, None])))
 
-    def assemble_tangent(self, W: FloatArray, penalty: float) -> None:
+    @property
+    def touching(self) -> ContactForces | None:
+        """Contact at the state of the last residual; None where no points interact."""
+        forces = self.system.forces if isinstance(self.system, ContactSystem) else None
+        return forces if forces is not None and forces.pairs else None
+
+    def closing_ratio(self) -> float:
+        """Largest approach in a step of two points that may interact in it, relative to the range of contact."""
+        if self.contact is None:
+            return 0.0
+        x, v, dt = self.positions(), self.velocity(), self.timeInt.step_size
+        if not (np.isfinite(x).all() and np.isfinite(v).all()):
+            return np.inf
+        return self.contact.closing_speed(x, v, dt) * dt / self.contact.kernel.r_max
+
+    def renew_contact(self) -> None:
+        """Bring the tangent's part of contact, and nothing else of it, to the present state."""
+        if isinstance(self.system, ContactSystem):
+            self.system.renew_contact()
+
+    def assemble_tangent(self, W: FloatArray, penalty: float, *, positive: bool = False) -> None:
         """Assemble the tangent with the penalty's part, which is diagonal before extraction.
 
         Args:
             W: reference areas, zero at inactive points, shape (points,).
             penalty: beta.
+            positive: whether to leave out what makes the tangent of contact indefinite.
         """
+        if isinstance(self.system, ContactSystem):
+            self.system.positive = positive
         diagonal = self.timeInt.xdot_factor * penalty * W / self.quadrature.rational**2
         self.system.assemble_tangent(np.repeat(diagonal[:, None], self.spline.nsd, axis=1))
 

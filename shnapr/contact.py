@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 
 SKIN = 0.2
 """How much further than r_max pairs are searched, relative to it: they serve until a node has moved by half of that."""
+MOST_APPROACH = 3.0
+"""Largest way in a step, relative to r_max, within which approaching points are looked for."""
 COINCIDENT = 1e-12
 """Distance relative to r_max below which two points have no direction of their own."""
 
@@ -137,6 +139,7 @@ class ContactForces:
         tangent: derivative of ``forces`` by the homogeneous nodal values, with blocks for touching nodes only, shape
             (nodes d, nodes d), symmetric; None: not asked for.
         pairs: number of interacting pairs.
+        load: sum of the forces between them without regard to direction; unit: force.
         distance: smallest distance of an interacting pair; inf without any.
         coincident: number of pairs in the same place.
     """
@@ -145,6 +148,7 @@ class ContactForces:
     forces: FloatArray
     tangent: sp.bsr_matrix | None
     pairs: int
+    load: float
     distance: float
     coincident: int
 
@@ -245,8 +249,38 @@ class SelfContact:
             if positive:
                 along, across = np.maximum(along, 0.0), np.maximum(across, 0.0)
             matrix = _assemble(pairs, _stiffness(direction, along, across), w)
-        energy, distance = float(weight @ self.kernel.energy(r)), float(r.min(initial=np.inf))
-        return ContactForces(energy, forces, matrix, len(pairs), distance, int(np.count_nonzero(~apart)))
+        return ContactForces(
+            energy=float(weight @ self.kernel.energy(r)),
+            forces=forces,
+            tangent=matrix,
+            pairs=len(pairs),
+            load=float(np.abs(slope).sum()),
+            distance=float(r.min(initial=np.inf)),
+            coincident=int(np.count_nonzero(~apart)),
+        )
+
+    def closing_speed(self, x: ArrayLike, velocity: FloatArray, dt: float) -> float:
+        """Largest speed at which two points approach each other that might interact within a time step.
+
+        Args:
+            x: present positions of the points, shape (nodes, d); unit: length.
+            velocity: their velocities, shape (nodes, d).
+            dt: the step; unit: time.
+
+        Returns:
+            Rate of decrease of the distance of the fastest such pair, 0 where none approaches; unit: length/time.
+
+        Raises:
+            ValueError: x has a wrong shape.
+            SolveError: x is not finite.
+        """
+        positions = self._checked(x)
+        fastest = 2.0 * float(np.sqrt(np.einsum("ni,ni->n", velocity, velocity)).max(initial=0.0))
+        reach = self.kernel.r_max + min(fastest * dt, MOST_APPROACH * self.kernel.r_max)
+        pairs = self._search(positions, reach)
+        gap, r = _gaps(positions, pairs)
+        rate = np.einsum("pi,pi->p", gap, _gaps(velocity, pairs)[0])
+        return float(-np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0).min(initial=0.0))
 
     def _checked(self, x: ArrayLike) -> FloatArray:
         positions = np.asarray(x, dtype=np.float64)

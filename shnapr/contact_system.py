@@ -28,6 +28,7 @@ class ContactSystem(SplineSystem):
 
     Attributes:
         contact: as given.
+        positive: as given; it may be changed between tangents.
         forces: contact at the state of the last residual; None before the first one.
     """
 
@@ -50,7 +51,7 @@ class ContactSystem(SplineSystem):
         self._spline = spline
         self._y = unknown
         self._time = time
-        self._positive = positive
+        self.positive = positive
 
     def positions(self) -> FloatArray:
         """Points at which contact acts, at the intermediate level of a time step, shape (nodes, nsd); unit: length."""
@@ -59,7 +60,7 @@ class ContactSystem(SplineSystem):
 
     def _contact(self, *, tangent: bool) -> ContactForces:
         alpha = 1.0 if self._time is None else self._time.x_factor
-        return self.contact.evaluate(self.positions(), tangent=tangent, positive=self._positive, alpha=alpha)
+        return self.contact.evaluate(self.positions(), tangent=tangent, positive=self.positive, alpha=alpha)
 
     def assemble_residual(self, load: FloatArray | None = None) -> float:
         """Assemble and extract the residual with contact, see the base class."""
@@ -69,6 +70,10 @@ class ContactSystem(SplineSystem):
             return float("nan")
         forces = self.forces.forces
         return super().assemble_residual(forces if load is None else forces + load)
+
+    def renew_contact(self) -> None:
+        """Assemble the tangent of contact anew and keep that of the form."""
+        self.extract_tangent(self._contact(tangent=True).tangent)
 
     def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: Any = None) -> None:
         """Assemble and extract the tangent with contact, see the base class."""

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -24,6 +24,20 @@ GROWTH = 0.25
 """By how much cells grow per unit of length away from the cylinder."""
 LEFT = 1000
 """Of how many further errors at most gmsh's parser is relieved after one."""
+
+
+class Region(NamedTuple):
+    """Where cells are smaller.
+
+    Attributes:
+        kind: gmsh's name of a size field of regions, "Ball" or "Box".
+        size: of the cells in it.
+        shape: parameters of the field that say where it is.
+    """
+
+    kind: str
+    size: float
+    shape: dict[str, float]
 
 
 def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMesh:
@@ -105,14 +119,15 @@ def channel_with_cylinder(
         if value > size:
             raise ValueError(f"{name} = {value!r}: a number up to size = {size!r} is required")
     tip = None if beam is None else (x + radius + beam[0], beam[1])
-    fields = [("Ball", fine, {"Radius": radius, "XCenter": x, "YCenter": y}), _zone(wake, x, length, y, 4.0 * radius)]
+    around = Region("Ball", fine, {"Radius": radius, "XCenter": x, "YCenter": y})
+    fields = [around, _zone(wake, x, length, y, 4.0 * radius)]
     if tip is not None:
         fields.append(_zone(fine, x, tip[0], y, tip[1]))
 
     def arrays() -> MeshArrays:
         with _session() as gmsh:
             _build_channel(gmsh.model, (length, height), (x, y), radius, tip)
-            _set_sizes(gmsh, size, fields)
+            set_sizes(gmsh, size, fields)
             plane = _meshed(gmsh, 2, "the channel").arrays()
         return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size - 1e-9)))
 
@@ -139,9 +154,9 @@ def _check_channel(
     return float(x), float(y)
 
 
-def _zone(size: float, start: float, end: float, y: float, width: float) -> tuple[str, float, dict[str, float]]:
+def _zone(size: float, start: float, end: float, y: float, width: float) -> Region:
     """Rectangle of cells of a size, along the first axis."""
-    return "Box", size, {"XMin": start, "XMax": end, "YMin": y - width / 2.0, "YMax": y + width / 2.0}
+    return Region("Box", size, {"XMin": start, "XMax": end, "YMin": y - width / 2.0, "YMax": y + width / 2.0})
 
 
 def _build_channel(
@@ -174,19 +189,28 @@ def _build_channel(
             model.setPhysicalName(dim, model.addPhysicalGroup(dim, tags), name)
 
 
-def _set_sizes(gmsh: Any, size: float, fields: Sequence[tuple[str, float, dict[str, float]]]) -> None:
-    """Cells of a size, which are smaller in regions and grow away from them."""
+def set_sizes(gmsh: Any, size: float, regions: Sequence[Region]) -> None:
+    """Cells of a size, which are smaller in regions and grow away from them.
+
+    Args:
+        gmsh: the module, with a model.
+        size: of cells away from the regions; unit: length.
+        regions: may be empty.
+    """
+    for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
+        gmsh.option.setNumber(f"Mesh.{option}", 0)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+    if not regions:
+        return
     field = gmsh.model.mesh.field
     tags = []
-    for kind, small, shape in fields:
+    for kind, small, shape in regions:
         tags.append(field.add(kind))
         for name, value in (shape | {"VIn": small, "VOut": size, "Thickness": (size - small) / GROWTH}).items():
             field.setNumber(tags[-1], name, float(value))
     smallest = field.add("Min")
     field.setNumbers(smallest, "FieldsList", tags)
     field.setAsBackgroundMesh(smallest)
-    for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
-        gmsh.option.setNumber(f"Mesh.{option}", 0)
 
 
 def geo_elements(path: Path) -> Elements:
