@@ -25,13 +25,15 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
 
-from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, StepReport, SurfaceBand
+from coudalfish.restart import CoupledState
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
 from tigar_x.linear import LinearSolver, direct
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
+from tigar_x.restart import Restart
 from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
@@ -265,6 +267,8 @@ def main(
     initial_velocity: Literal["projected", "interpolated"] | None = None,
     out: Path = Path("results/manufactured"),
     viz: bool = True,
+    checkpoint_every: int = 0,
+    restart: str = "",
 ) -> dict[str, Any]:
     """Run the manufactured fluid-membrane benchmark and check it against its exact solution.
 
@@ -277,9 +281,11 @@ def main(
             default: projected for the reference preset, else interpolated.
         out: folder of the results.
         viz: whether to write ParaView files and a picture.
+        checkpoint_every: steps between checkpoints; 0: none, but where the run is told to end.
+        restart: checkpoint to go on from: "latest", the number of its step, or its file.
 
     Returns:
-        The summary.
+        The summary; nothing where the run was told to end.
     """
     data, reference = Data(), preset == "reference"
     factor = checks.positive("dt_factor", dt_factor)
@@ -288,21 +294,6 @@ def main(
     options = CouplingOptions.reference() if reference else CouplingOptions()
     fsi = build(dim, level, steps, options, projected=start == "projected", data=data)
 
-    watch, progress = script.Stopwatch(), script.Progress(steps)
-    reports, memory = [], []
-    pictures = Pictures(out, fsi) if viz else None
-    for _ in progress:
-        with watch:
-            report = fsi.takeStep()
-        reports.append(report)
-        memory.append(script.rss_mib())
-        progress.show(report)
-        if pictures:
-            pictures.write(report)
-    if pictures:
-        pictures.close(data, fsi)
-
-    passes = [report.passes for report in reports]
     inputs = {
         "dim": dim,
         "level": level,
@@ -311,6 +302,27 @@ def main(
         "initial_velocity": start,
         "options": options,
     }
+    run = Restart(out / "checkpoints", CoupledState(fsi), every=checkpoint_every, inputs=inputs)
+    if restart:
+        run.read(restart)
+
+    watch, progress = script.Stopwatch(), script.Progress(steps, done=run.step)
+    numbers, memory = run.extra.setdefault("steps", []), []
+    pictures = Pictures(out, fsi, run) if viz else None
+    for _ in run.steps(progress):
+        with watch:
+            report = fsi.takeStep()
+        numbers.append(in_numbers(report))
+        memory.append(script.rss_mib())
+        progress.show(report)
+        if pictures:
+            pictures.write(report)
+    if pictures:
+        pictures.close(data, fsi)
+    if run.step < steps:
+        return {}
+
+    passes = [step["passes"] for step in numbers]
     measured = errors(fsi, data, data.T, 2)
     summary = script.write_summary(
         out,
@@ -321,18 +333,16 @@ def main(
         steps=steps,
         block_iterations_mean=float(np.mean(passes)),
         block_iterations_max=max(passes),
-        linear_iterations_mean=float(np.mean([report.linear_iterations for report in reports])),
+        linear_iterations_mean=float(np.mean([step["linear_iterations"] for step in numbers])),
         dofs_fluid=fsi.timeInt_f.x.function_space.dofmap.index_map.size_global * (dim + 1),
         dofs_shell=fsi.spline_sh.geometry.basis.n * dim,
         wall_s=watch.wall_s,
         cpu_s=watch.cpu_s,
-        rss_mib_step_10=memory[min(9, len(memory) - 1)],
-        rss_mib_end=memory[-1],
+        rss_mib_step_10=memory[min(9, len(memory) - 1)] if memory else None,
+        rss_mib_end=memory[-1] if memory else None,
         monitors={
-            "normal_slip_max": max(report.monitors.normal_slip_max for report in reports),
-            "leak_max": max(abs(report.monitors.leak) for report in reports),
-            "force_imbalance_max": max(report.monitors.force_imbalance for report in reports),
-            "slip_ratio_max": max(report.slip_ratio for report in reports),
+            f"{name}_max": max(step[name] for step in numbers)
+            for name in ("normal_slip", "leak", "force_imbalance", "slip_ratio")
         },
     )
     if MPI.COMM_WORLD.rank == 0:
@@ -347,23 +357,38 @@ def main(
     return summary
 
 
+def in_numbers(report: StepReport) -> dict[str, float]:
+    """What the summary needs of a step."""
+    return {
+        "passes": report.passes,
+        "linear_iterations": report.linear_iterations,
+        "normal_slip": report.monitors.normal_slip_max,
+        "leak": abs(report.monitors.leak),
+        "force_imbalance": report.monitors.force_imbalance,
+        "slip_ratio": report.slip_ratio,
+    }
+
+
 class Pictures:
     """ParaView files and histories of the run, and a picture at its end."""
 
-    def __init__(self, out: Path, fsi: CouDALFISh) -> None:
+    def __init__(self, out: Path, fsi: CouDALFISh, run: Restart) -> None:
         w, time, d = fsi.timeInt_f.x, fsi.timeInt_sh, fsi.mesh_f.geometry.dim
         self._out = out
-        self._fluid = XDMFSeries(out / "fluid.xdmf", fsi.mesh_f, velocity=(w, tuple(range(d))), pressure=(w, (d,)))
+        name = run.named(out / "fluid.xdmf")
+        self._fluid = XDMFSeries(name, fsi.mesh_f, velocity=(w, tuple(range(d))), pressure=(w, (d,)))
         self._shell = VTUSeries(
             out / "shell",
             fsi.spline_sh,
             y=time.x,
+            after=run.after,
             velocity=time.xdot_old,
             multiplier=lambda: fsi.lam,
             normal=fsi.shell.normals,
         )
         forces = tuple(f"force_{i + 1}" for i in range(d))
-        self._history = CSVSeries(out / "history.csv", ("passes", "normal_slip_rms", "leak", *forces))
+        columns = ("passes", "normal_slip_rms", "leak", *forces)
+        self._history = CSVSeries(out / "history.csv", columns, after=run.after)
 
     def write(self, report: Any) -> None:
         """Append the present state."""

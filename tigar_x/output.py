@@ -5,10 +5,13 @@ Every series is a context manager with one verb, ``write(t)``.
 
 import csv
 import os
+import pickle
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
@@ -19,6 +22,16 @@ from tigar_x.compat import FloatArray
 
 if TYPE_CHECKING:
     from tigar_x.spline import ExtractedSpline
+
+
+T = TypeVar("T")
+
+SLACK = 1e-9
+"""By which a time on disk may differ from the same time of the clock, relative to it."""
+
+
+def _is_later(t: float, after: float) -> bool:
+    return t > after + SLACK * abs(after)
 
 
 class _Series:
@@ -84,8 +97,13 @@ class VTUSeries(_Series):
         path: path without ending; its folder is made.
         spline: curve, surface or volume of one or several patches.
         y: homogeneous displacement; None: the reference configuration.
+        after: time from which a run goes on: files of an earlier series are kept up to then, and those that are later
+            are deleted (collective on all ranks); None: a new series.
         fields: point data by name: a homogeneous isoparametric function of any number of components, or a callable
             that returns physical values at this rank's nodes, shape (nodes,) or (nodes, components).
+
+    Raises:
+        ValueError: the index of the earlier series cannot be read.
     """
 
     def __init__(
@@ -93,6 +111,8 @@ class VTUSeries(_Series):
         path: Path | str,
         spline: "ExtractedSpline",
         y: fem.Function | None = None,
+        *,
+        after: float | None = None,
         **fields: fem.Function | Callable[[], FloatArray],
     ) -> None:
         self._path = Path(path)
@@ -103,10 +123,25 @@ class VTUSeries(_Series):
         self._kind, cells = compat.subcells(spline.V)
         counts = self._comm.allgather(len(spline.node_positions))
         self._cells = self._gather(cells + sum(counts[: self._comm.rank]))
-        self._entries: list[str] = []
+        self._index = self._path.with_name(self._path.name + ".pvd")
+        self._entries: list[tuple[float, str]] = []
         self._writes = MPI.COMM_WORLD.rank == 0
         if self._writes:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+        if after is not None:
+            on_root(MPI.COMM_WORLD, lambda: self._continue(after))
+
+    def _continue(self, after: float) -> None:
+        if not self._index.exists():
+            return
+        try:
+            found = [(float(e.attrib["timestep"]), e.attrib["file"]) for e in ET.parse(self._index).iter("DataSet")]
+        except (ET.ParseError, KeyError, ValueError) as error:
+            raise ValueError(f"{self._index}: not the index of a series ({error})") from error
+        self._entries = [(t, name) for t, name in found if not _is_later(t, after)]
+        self._write_index()
+        for _, name in found[len(self._entries) :]:
+            self._path.with_name(name).unlink(missing_ok=True)
 
     def _gather(self, rows: Any) -> Any:
         """Rows of all ranks, one after the other, on rank 0; nothing elsewhere."""
@@ -140,13 +175,13 @@ class VTUSeries(_Series):
         cells, fields = [(self._kind, self._cells)], {name: self._padded(values) for name, values in data.items()}
         in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
         meshio.Mesh(in_space, cells, point_data=fields).write(file)
-        self._entries.append(f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{file.name}"/>\n')
-        index = (
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
-            + "".join(self._entries)
-            + "  </Collection>\n</VTKFile>\n"
-        )
-        replace_text(self._path.with_name(self._path.name + ".pvd"), index)
+        self._entries.append((t, file.name))
+        self._write_index()
+
+    def _write_index(self) -> None:
+        entries = (f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{name}"/>\n' for t, name in self._entries)
+        head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+        replace_text(self._index, head + "".join(entries) + "  </Collection>\n</VTKFile>\n")
 
 
 class CSVSeries(_Series):
@@ -155,16 +190,26 @@ class CSVSeries(_Series):
     Args:
         path: file name; its folder is made.
         columns: names of the columns after ``t``.
+        after: time from which a run goes on: rows of an earlier history are kept up to then (collective); None: a new
+            history.
+
+    Raises:
+        ValueError: the earlier history has other columns.
     """
 
-    def __init__(self, path: Path | str, columns: Sequence[str]) -> None:
+    def __init__(self, path: Path | str, columns: Sequence[str], *, after: float | None = None) -> None:
         self._columns = tuple(columns)
         self._file = None
+        target, header = Path(path), ["t", *self._columns]
+        if after is not None:
+            on_root(MPI.COMM_WORLD, lambda: _cut(target, header, after))
         if MPI.COMM_WORLD.rank == 0:
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(path, "w", newline="")  # noqa: SIM115  (closed by close)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            begins = after is None or not target.exists()
+            self._file = open(target, "w" if begins else "a", newline="")  # noqa: SIM115  (closed by close)
             self._writer = csv.writer(self._file)
-            self._writer.writerow(["t", *self._columns])
+            if begins:
+                self._writer.writerow(header)
 
     def write(self, t: float, *values: Any) -> None:
         """Append a row.
@@ -188,6 +233,26 @@ class CSVSeries(_Series):
             self._file.close()
 
 
+def _cut(path: Path, header: Sequence[str], after: float) -> None:
+    """Drop rows that are later than a time, and a last one that was not finished; a file without any line goes."""
+    if not path.exists():
+        return
+    with open(path, newline="") as file:
+        lines = [line for line in file if line.endswith("\n")]
+    if not lines:
+        path.unlink()
+        return
+    rows = csv.reader(lines)
+    found = next(rows)
+    if found != header:
+        raise ValueError(f"{path}: columns {found} were found, {header} are required")
+    try:
+        kept = [line for line, row in zip(lines[1:], rows, strict=True) if not _is_later(float(row[0]), after)]
+    except (IndexError, ValueError) as error:
+        raise ValueError(f"{path}: not a history ({error})") from error
+    replace_text(path, "".join(lines[:1] + kept))
+
+
 def replace_text(path: Path, text: str) -> None:
     """Write a text file so that a reader finds the old or the new content, never a part.
 
@@ -199,12 +264,52 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def replace_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file so that a reader finds the old or the new content, never a part.
+    """Write a binary file so that a reader finds the old or the new content, never a part, whatever dies meanwhile.
 
     Args:
         path: file name.
         content: content.
+
+    Raises:
+        OSError: it cannot be written; an old file stays as it was.
     """
     part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
-    os.replace(part, path)
+    try:
+        with open(part, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # not every file system can
+            os.fsync(folder)  # or the new name may be lost with the machine
+    finally:
+        os.close(folder)
+
+
+def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
+    """What a function returns on rank 0, None on the others; when it raises, all ranks raise the same.
+
+    Args:
+        comm: communicator.
+        work: function that only rank 0 calls.
+    """
+    result, failure = None, None
+    if comm.rank == 0:
+        try:
+            result = work()
+        except Exception as error:
+            failure = error
+    told = failure
+    try:
+        pickle.loads(pickle.dumps(told))
+    except Exception:
+        told = RuntimeError(f"{type(failure).__name__}: {failure}")
+    told = comm.bcast(told)
+    if told is not None:
+        raise failure or told
+    return result

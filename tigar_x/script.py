@@ -6,7 +6,9 @@ import json
 import logging
 import platform
 import resource
+import signal
 import sys
+import threading
 import time
 import types
 import typing
@@ -97,24 +99,53 @@ def set_up_logging(level: int = logging.INFO) -> None:
     root.setLevel(level if MPI.COMM_WORLD.rank == 0 else logging.ERROR)
 
 
+class Termination:
+    """Lets a run that is told to end finish its step first: SIGTERM, SIGUSR1 and Ctrl-C no longer end the process.
+
+    ``with Termination() as asked:`` gives a function that tells on all ranks alike whether any of them was told to end
+    (collective). A second Ctrl-C interrupts as usual. Batch systems and mpirun may send SIGUSR1 ahead of time.
+    """
+
+    def __init__(self) -> None:
+        self._told = 0
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> Callable[[], bool]:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT):
+                self._handlers[number] = signal.signal(number, self._note)
+        return lambda: bool(MPI.COMM_WORLD.allreduce(self._told, op=MPI.MAX))
+
+    def _note(self, number: int, _: Any) -> None:
+        self._told = 1
+        log.warning("%s: ending after the step in progress", signal.Signals(number).name)
+        if number == signal.SIGINT:
+            signal.signal(number, self._handlers.pop(number))
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+
 class Progress:
     """Steps with a bar in a terminal and plain log lines elsewhere, on rank 0.
 
     Args:
         n_steps: number of steps.
         lines: number of log lines in the whole run where there is no terminal.
+        done: number of steps that an earlier run has done.
     """
 
-    def __init__(self, n_steps: int, lines: int = 10) -> None:
+    def __init__(self, n_steps: int, lines: int = 10, *, done: int = 0) -> None:
         self._n = n_steps
         self._every = max(1, n_steps // lines)
-        self._done = 0
+        self._done = done
         self._rank = MPI.COMM_WORLD.rank
         self._bar = sys.stderr.isatty()
 
     def __iter__(self) -> Iterator[int]:
-        """Iterate over the step numbers, from 1."""
-        for n in range(1, self._n + 1):
+        """Iterate over the numbers of the steps to do, from 1 or from the one after those done."""
+        for n in range(self._done + 1, self._n + 1):
             self._done = n
             yield n
         if self._bar and self._rank == 0:
@@ -209,13 +240,14 @@ def versions() -> dict[str, str]:
     }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Containers of dataclasses, NumPy's numbers and paths as JSON has them; None in a dataclass is left out."""
     if is_dataclass(value) and not isinstance(value, type):
-        return _plain({k: v for k, v in asdict(value).items() if v is not None})
+        return plain({k: v for k, v in asdict(value).items() if v is not None})
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, np.generic):
         return value.item()
     return str(value) if isinstance(value, Path) else value
@@ -237,7 +269,7 @@ def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) 
         ValueError: a result is not finite.
     """
     known = {key: value for key, value in results.items() if value is not None}
-    summary = _plain(
+    summary = plain(
         {
             "demo": demo,
             "inputs": inputs,

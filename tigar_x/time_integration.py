@@ -312,6 +312,26 @@ class TimeIntegrator:
             slope = (1.0 - s.a1) * self.xdot_old.x.array - s.a2 * h * self.xddot_old.x.array
             self.x.x.array[:] += h / s.a0 * slope
 
+    @property
+    def state(self) -> dict[str, fem.Function]:
+        """The last accepted state by name, x_n and its rates; with the clock it is what further steps follow from."""
+        rates = {"xdot": self.xdot_old} | ({"xddot": self.xddot_old} if self.scheme.order == 2 else {})
+        return {"x": self.x_old, **rates}
+
+    def resume(self, t: float, dt: float) -> None:
+        """Go on from what the functions of :attr:`state` hold now.
+
+        Args:
+            t: time of that state.
+            dt: size of the step in progress; unit: time.
+
+        Raises:
+            ValueError: t is not finite, or dt not positive.
+        """
+        self._t_n = checks.finite("t", t)
+        self.step_size = dt
+        self.restore()
+
     def restore(self) -> None:
         """Put x back to the last accepted state; the clock has not moved."""
         self.x.x.array[:] = self.x_old.x.array

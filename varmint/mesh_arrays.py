@@ -1,8 +1,7 @@
 """Meshes from arrays with named groups of facets and cells, distributed over the ranks."""
 
-import pickle
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -11,10 +10,9 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
+from tigar_x.output import on_root
 from varmint.mesh import NamedMesh, tagged
 from varmint.mesh_checks import DIMENSIONS, VERTICES, MeshArrays, checked_arrays, number_rows
-
-T = TypeVar("T")
 
 
 def from_arrays(
@@ -107,30 +105,6 @@ def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays]) -> NamedMesh:
     inner_names = tuple(name for name, has in zip(sides, inner, strict=True) if has)
     facet_tags, cell_tags = tagged(domain, "facet", sides), tagged(domain, "cell", found)
     return NamedMesh(domain, facet_tags, cell_tags, tuple(sides), tuple(found), inner_names)
-
-
-def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
-    """What a function returns on rank 0, None on the others; when it raises, all ranks raise the same.
-
-    Args:
-        comm: communicator.
-        work: function that only rank 0 calls.
-    """
-    result, failure = None, None
-    if comm.rank == 0:
-        try:
-            result = work()
-        except Exception as error:
-            failure = error
-    told = failure
-    try:
-        pickle.loads(pickle.dumps(told))
-    except Exception:
-        told = RuntimeError(f"{type(failure).__name__}: {failure}")
-    told = comm.bcast(told)
-    if told is not None:
-        raise failure or told
-    return result
 
 
 def _matched(local: Any, groups: Mapping[str, Any]) -> dict[str, IntArray]:

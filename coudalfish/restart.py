@@ -1,0 +1,71 @@
+"""What a coupled run goes on from, for :class:`tigar_x.restart.Restart`."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from coudalfish.coupler import CouDALFISh
+from tigar_x.nodal import wave_sums
+from tigar_x.restart import Integrators
+from tigar_x.time_integration import TimeIntegrator
+
+SAME = 1e-9
+"""Difference of the immersed points' wave sums within which two shells are the same one."""
+
+
+class CoupledState:
+    """The state of a coupled run: fluid and its mesh where it moves, shell, multiplier, clocks and residual floors.
+
+    Args:
+        fsi: what is coupled.
+        others: further integrators by name.
+
+    Attributes:
+        fields: functions by name; the multiplier is brought up to date by :meth:`record`.
+    """
+
+    def __init__(self, fsi: CouDALFISh, **others: TimeIntegrator) -> None:
+        self._fsi = fsi
+        if fsi.fluid.moving is not None:
+            others["mesh"] = fsi.fluid.moving.time
+        self._integrators = Integrators(fluid=fsi.timeInt_f, shell=fsi.timeInt_sh, **others)
+        self._multiplier = fem.Function(fsi.spline_sh.scalar.V, name="multiplier")
+        self.fields = {**self._integrators.fields, "multiplier": self._multiplier}
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Schemes, step sizes and options of the coupling."""
+        return {**self._integrators.settings, "options": self._fsi.options}
+
+    @property
+    def time(self) -> float:
+        """Time t_n of the last accepted state."""
+        return self._fsi.timeInt_f.time
+
+    def _shape(self) -> list[float]:
+        x = self._fsi.shell.quadrature.points
+        size = float(np.linalg.norm(np.ptp(x, axis=0)))
+        return [size, *x.min(axis=0), *wave_sums((x - x.min(axis=0)) / size, len(x))]
+
+    def record(self) -> dict[str, Any]:
+        """Clocks, floors, and what tells the shell from others; the multiplier goes into its field."""
+        self._multiplier.x.array[:] = self._fsi.lam
+        return {**self._integrators.record(), "floors": self._fsi.floors, "shape": self._shape()}
+
+    def check(self, record: Mapping[str, Any]) -> None:
+        """Check that a record is that of this shell.
+
+        Raises:
+            ValueError: it is not.
+        """
+        present = self._shape()
+        if not np.allclose(record["shape"], present, rtol=SAME, atol=SAME * present[0]):
+            raise ValueError("the shell of the checkpoint has another shape than this one at the same parameters")
+
+    def resume(self, record: Mapping[str, Any]) -> None:
+        """Take over the fields, which have been read, and the record."""
+        self._integrators.resume(record)
+        self._fsi.lam = self._multiplier.x.array.copy()
+        self._fsi.floors = None if record["floors"] is None else tuple(record["floors"])

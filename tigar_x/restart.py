@@ -1,0 +1,210 @@
+"""Runs of many steps that go on where they ended, were ended or were killed.
+
+run = Restart(out / "checkpoints", Integrators(flow=flow.time), every=100, inputs=inputs)
+if restart:
+    run.read(restart)                               # "latest", a number or a file
+peaks = run.extra.setdefault("peaks", [])           # what the script wants remembered
+with CSVSeries(out / "history.csv", columns, after=run.after) as history:
+    for _ in run.steps(script.Progress(steps, done=run.step)):
+        history.write(flow.take_step().t, ...)
+if run.step < steps:                                # told to end; a checkpoint has been written
+    return
+"""
+
+import logging
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+from dolfinx import fem
+
+from tigar_x import checks
+from tigar_x.checkpoint import Checkpoints
+from tigar_x.script import Termination, plain
+from tigar_x.time_integration import TimeIntegrator
+
+log = logging.getLogger(__name__)
+
+
+class State(Protocol):
+    """What the further steps of a run follow from.
+
+    Attributes:
+        fields: functions by name.
+        settings: what a run should go on with as it began, as JSON; differences are warned of.
+        time: time of the last accepted state.
+    """
+
+    @property
+    def fields(self) -> Mapping[str, fem.Function]:
+        """See the class."""
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """See the class."""
+
+    @property
+    def time(self) -> float:
+        """See the class."""
+
+    def record(self) -> dict[str, Any]:
+        """Bring the fields up to date; what is not in them, as JSON."""
+
+    def check(self, record: Mapping[str, Any]) -> None:
+        """Raise ValueError where a record cannot be that of this state."""
+
+    def resume(self, record: Mapping[str, Any]) -> None:
+        """Take over the fields, which have been read, and the record."""
+
+
+class Integrators:
+    """The state of time integrators that step together.
+
+    Args:
+        integrators: by name.
+    """
+
+    def __init__(self, **integrators: TimeIntegrator) -> None:
+        if not integrators:
+            raise ValueError("integrators: at least one is required")
+        self._integrators = integrators
+
+    @property
+    def fields(self) -> dict[str, fem.Function]:
+        """x_n and its rates, by the name of the integrator and their own."""
+        return {f"{name}.{key}": f for name, time in self._integrators.items() for key, f in time.state.items()}
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Schemes and step sizes."""
+        return {name: {**asdict(time.scheme), "dt": time.step_size} for name, time in self._integrators.items()}
+
+    @property
+    def time(self) -> float:
+        """Time t_n of the last accepted state."""
+        return next(iter(self._integrators.values())).time
+
+    def record(self) -> dict[str, Any]:
+        """Times and step sizes."""
+        return {"clocks": {name: [time.time, time.step_size] for name, time in self._integrators.items()}}
+
+    def check(self, record: Mapping[str, Any]) -> None:
+        """All integrators are known by their fields."""
+
+    def resume(self, record: Mapping[str, Any]) -> None:
+        """Set the clocks, and x to x_n."""
+        for name, time in self._integrators.items():
+            time.resume(*record["clocks"][name])
+
+
+class Restart:
+    """Writes the checkpoints of a run and goes on from one (collective).
+
+    Args:
+        folder: where the checkpoints are; made with the first one.
+        state: of the run.
+        every: number of steps between checkpoints; 0: none, but where the run is told to end.
+        keep: number of checkpoints to keep.
+        inputs: the script's parameters, as JSON; where a run goes on with others, a warning names them.
+
+    Attributes:
+        step: number of the last accepted step.
+        after: time from which the run goes on, for output that is continued; None: the run is new.
+        extra: JSON that the script wants remembered; it may change it at any time.
+
+    Raises:
+        ValueError: a number is out of range, or a field cannot be stored.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        state: State,
+        *,
+        every: int = 0,
+        keep: int = 2,
+        inputs: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.every = checks.whole("every", every, 0)
+        self.state = state
+        self.inputs = dict(inputs or {})
+        self.checkpoints = Checkpoints(folder, state.fields, keep=keep)
+        self.step = 0
+        self.after: float | None = None
+        self.extra: dict[str, Any] = {}
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        return {"inputs": plain(self.inputs), **plain(dict(self.state.settings))}
+
+    def write(self) -> Path:
+        """Write a checkpoint of the present step.
+
+        Returns:
+            Its file.
+
+        Raises:
+            OSError: it cannot be written; earlier ones stay.
+            ValueError: ``inputs`` or ``extra`` is no JSON.
+        """
+        record = {"state": self.state.record(), "settings": self._settings, "extra": self.extra}
+        return self.checkpoints.write(self.step, record)
+
+    def read(self, which: int | str | Path = "latest") -> None:
+        """Go on from a checkpoint: sets the state, ``step``, ``after`` and ``extra``.
+
+        Args:
+            which: "latest", a step number or a file, see :meth:`tigar_x.checkpoint.Checkpoints.find`.
+
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: it cannot be read or belongs to another run; the state stays as it was.
+        """
+        found = self.checkpoints.find(which)
+        record = found.record
+        self.state.check(record["state"])
+        self.checkpoints.restore(found)
+        for text in _differences(record["settings"], self._settings):
+            log.warning("%s was written with %s", found.path, text)
+        self.state.resume(record["state"])
+        self.step, self.extra, self.after = found.number, record["extra"], self.state.time
+        log.info("going on after step %d at t = %.6g from %s", self.step, self.after, found.path)
+
+    def steps(self, numbers: Iterable[int]) -> Iterator[int]:
+        """Numbers of steps, which the loop's body makes; writes checkpoints between them.
+
+        A run that is told to end (:class:`tigar_x.script.Termination`) gets a checkpoint and no further numbers.
+
+        Args:
+            numbers: of the steps to make, the first one ``step + 1``.
+        """
+        with Termination() as asked:
+            for number in numbers:
+                yield number
+                self.step = number
+                ends = asked()
+                if ends or (self.every and number % self.every == 0):
+                    path = self.write()
+                if ends:
+                    log.info(
+                        "ended after step %d at t = %.6g, as told; to go on: restart = latest (%s)",
+                        number,
+                        self.state.time,
+                        path,
+                    )
+                    return
+
+    def named(self, path: Path | str) -> Path:
+        """Name of a file that cannot be continued: with the step after which a run goes on."""
+        path = Path(path)
+        return path if self.after is None else path.with_name(f"{path.stem}_{self.step:06d}{path.suffix}")
+
+
+def _differences(found: Any, present: Any, name: str = "") -> Iterator[str]:
+    """Settings that differ, in words."""
+    if isinstance(found, dict) and isinstance(present, dict):
+        for key in sorted({*found, *present}):
+            yield from _differences(found.get(key), present.get(key), f"{name}.{key}" if name else key)
+    elif found != present:
+        yield f"{name} = {found!r}; now it is {present!r}"
