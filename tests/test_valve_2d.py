@@ -1,0 +1,189 @@
+"""The plane valve: supports, symmetry, both dimensions, memory, and the published tip curve."""
+
+import csv
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from load import load_demo
+
+from coudalfish import CouplingOptions
+from tigar_x import compat, script
+from tigar_x.linear import direct
+
+DEMO = load_demo("valve_2d")
+DATA = DEMO.Data()
+COARSE = {"elements": 8, "leaflet_elements": 8}
+
+
+def run(d=2, steps=24, dt=0.01, **options):
+    """A coarse valve after some steps and the history of its tips, shape (steps, 2, d)."""
+    valve = DEMO.build(d, dt=dt, solver=direct(), **(COARSE | options))
+    tips, reports = [], []
+    for _ in range(steps):
+        reports.append(valve.fsi.takeStep())
+        tips.append(valve.tips())
+    return SimpleNamespace(valve=valve, tips=np.array(tips), reports=reports)
+
+
+@pytest.fixture(scope="module")
+def plane():
+    return run()
+
+
+@pytest.fixture(scope="module")
+def extruded():
+    return run(3)
+
+
+def asymmetry(tips):
+    """Largest difference of the tips' paths when one is mirrored about the channel's axis."""
+    bottom, top = tips[:, 0], tips[:, 1] * [1.0, -1.0]
+    return np.abs(bottom - top).max()
+
+
+def test_both_leaflets_open_and_swing(plane):
+    x = plane.tips[:, :, 0]
+    assert (x[-1] > 0.4).all()
+    assert (np.diff(x[:10], axis=0) > 0.0).all()
+    assert plane.tips[-1, 0, 1] < -0.1
+    assert plane.tips[-1, 1, 1] > 0.1
+    assert max(report.passes for report in plane.reports) <= 6
+    assert max(report.monitors.force_imbalance for report in plane.reports) < 1e-12
+    assert max(report.inactive_points for report in plane.reports) == 0
+
+
+@pytest.mark.parametrize("which", ["plane", "extruded"])
+def test_leaflets_are_held_at_the_walls(which, request):
+    found = request.getfixturevalue(which)
+    fsi = found.valve.fsi
+    X, y = fsi.spline_sh.node_positions, fsi.spline_sh.nodal(fsi.timeInt_sh.x)
+    at_wall = np.isclose(X[:, 1], 0.0) | np.isclose(X[:, 1], DATA.height)
+    assert at_wall.any()
+    assert not y[at_wall].any()
+    assert not y[:, 2:].any()
+    assert (fsi.shell.normals()[at_wall, 0] > 0.9).all()
+
+
+def test_mirrored_cells_give_mirrored_leaflets():
+    """On a mesh that is its own mirror image, with a metric that does not see the numbering of vertices."""
+    found = run(is_mirrored=True, invariant_metric=True)
+    assert asymmetry(found.tips) < 1e-6
+    assert np.abs(found.tips[-1, :, 0]).min() > 0.4
+
+
+@pytest.mark.parametrize("options", [{}, {"invariant_metric": True}], ids=["reference metric", "invariant metric"])
+def test_otherwise_they_mirror_each_other_roughly(options):
+    found = run(**options)
+    assert 1e-4 < asymmetry(found.tips) < 0.1
+
+
+@pytest.mark.parametrize(("d", "cells"), [(2, 2 * 20 * 4), (3, 6 * 20 * 4)])
+def test_mirrored_mesh_is_its_own_image(d, cells):
+    mesh = DEMO.mirrored(DATA, (20, 4, 1)[:d])
+    assert set(mesh.facet_names) == {"left", "right", "bottom", "top", "back", "front"} - (
+        {"back", "front"} if d == 2 else set()
+    )
+    x = compat.cell_vertices(mesh.domain)
+    assert len(x) == cells
+    volumes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1]))
+    assert volumes == pytest.approx(np.full(cells, volumes[0]))
+    assert volumes.sum() / (2 if d == 2 else 6) == pytest.approx(DATA.length * DATA.height)
+    image = x.copy()
+    image[..., 1] = DATA.height - image[..., 1]
+    assert shapes_of(image) == shapes_of(x)
+    shifted = x.copy()
+    shifted[..., 0] = DATA.length - shifted[..., 0]
+    assert shapes_of(shifted) != shapes_of(x)
+
+
+def shapes_of(x):
+    """The cells as sets of vertices."""
+    return {tuple(sorted(map(tuple, np.round(cell, 9) + 0.0))) for cell in x}
+
+
+def test_plane_and_one_layer_agree(plane, extruded):
+    """To discretisation error at early times: the difference is that of the cells, and other data show more of it."""
+    difference = np.abs(plane.tips - extruded.tips[..., :2]).max()
+    assert 1e-6 < difference < 0.02
+    other = run(3, data=DEMO.Data(youngs_modulus=2 * DATA.youngs_modulus))
+    assert np.abs(plane.tips - other.tips[..., :2]).max() > 2 * difference
+
+
+def test_one_layer_is_per_depth(extruded):
+    deep = run(3, data=DEMO.Data(depth=0.5))
+    assert np.abs(deep.tips - extruded.tips).max() < 0.02
+    force = [found.reports[-1].monitors.force[0] / depth for found, depth in ((deep, 0.5), (extruded, 1.0))]
+    assert force[0] == pytest.approx(force[1], rel=0.1)
+
+
+def test_memory_is_flat():
+    valve, memory = DEMO.build(2, dt=0.01, solver=direct(), **COARSE), []
+    for _ in range(120):
+        valve.fsi.takeStep()
+        valve.tips()
+        memory.append(script.rss_mib())
+    assert memory[-1] - memory[9] < 2.0
+
+
+def test_energies_in_the_history(tmp_path):
+    DEMO.main(**DEMO.TOY, out=tmp_path, viz=True)
+    rows = list(csv.DictReader((tmp_path / "history.csv").read_text().splitlines()))
+    column = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    elastic, shell, fluid, inflow = (column[n] for n in ("elastic", "kinetic_shell", "kinetic_fluid", "inflow"))
+    assert (elastic > 0.0).all()
+    assert (shell > 0.0).all()
+    # a flow with this rate has at least the energy of the uniform one
+    assert (fluid[2:] > 0.99 * DATA.rho / 2 * inflow[2:] ** 2 / DATA.height * DATA.length).all()
+    # clamped strip with the tip displaced: the elastic energy of its first mode, within a factor
+    stiffness = DATA.youngs_modulus * DATA.thickness**3 / (12 * (1 - DATA.poisson_ratio**2))
+    bent = 1.5 * stiffness / DATA.leaflet_length**3 * (column["bottom_x"] ** 2 + column["top_x"] ** 2)
+    assert (elastic[:5] > 0.9 * bent[:5]).all()
+    assert (elastic < 10.0 * bent).all()
+
+
+def test_extrema_of_a_known_curve():
+    t = np.linspace(0.0, 3.0, 400)[1:]
+    x = 0.45 + 0.13 * np.cos(2 * np.pi * (t - 0.27))
+    found = DEMO.extrema(t, x)
+    assert set(found) == {f"{kind}_{n}" for kind in ("peak", "trough") for n in (1, 2, 3)}
+    for n in (1, 2, 3):
+        assert found[f"peak_{n}"] == pytest.approx((n - 0.73, 0.58), abs=1e-4)
+        assert found[f"trough_{n}"] == pytest.approx((n - 0.23, 0.32), abs=1e-4)
+    assert set(DEMO.extrema(t[t < 1.7], x[t < 1.7])) == {"peak_1", "trough_1", "peak_2"}
+    assert not DEMO.extrema(t, t)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("elements", 0, "elements = 0"),
+        ("elements", 1.5, "elements = 1.5"),
+        ("leaflet_elements", 1, "leaflet_elements = 1"),
+        ("degree", 1, "degree = 1"),
+        ("steps_per_element", 0, "steps_per_element = 0"),
+        ("dt_factor", -1.0, "dt_factor = -1.0"),
+        ("dt_factor", float("nan"), "dt_factor = nan"),
+        ("until", 0.0, "until = 0.0"),
+        ("until", float("inf"), "until = inf"),
+    ],
+)
+def test_bad_input_is_named_before_computing(option, value, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        DEMO.main(out=tmp_path, **{option: value})
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_odd_number_of_cells_has_no_mirrored_mesh(tmp_path):
+    with pytest.raises(ValueError, match="elements = 7: an even number is required"):
+        DEMO.main(elements=7, mirrored=True, out=tmp_path)
+
+
+def test_reference_preset_is_the_published_algorithm(tmp_path):
+    summary = DEMO.main(**(DEMO.TOY | {"until": 0.05}), preset="reference", out=tmp_path, viz=False)
+    options = summary["inputs"]["options"]
+    assert options["block_rtol"] == 1e-2
+    assert options["scale_c"] == 1e-3
+    assert options["stopping"] == "published"
+    assert options["penalty"] == {"C_1": 1.0, "C_2": 0.0}
+    assert CouplingOptions.reference().block_rtol == 1e-3
