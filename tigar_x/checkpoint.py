@@ -116,7 +116,10 @@ class Checkpoints:
             "fields": self._layout,
             "record": record,
         }
-        arrays = {"head": np.array(json.dumps(head, allow_nan=False))}
+        try:
+            arrays = {"head": np.array(json.dumps(head, allow_nan=False))}
+        except TypeError as error:
+            raise ValueError(f"record: JSON is required ({error})") from error
         for k, layout in enumerate(self._layouts):
             arrays |= {f"nodes/{k}/{i}": np.asarray(nodes.x) for i, (nodes, _) in enumerate(layout.parts)}
         for name, parts in values.items():
@@ -125,14 +128,14 @@ class Checkpoints:
         np.savez(buffer, digest=np.array(_digest(arrays)), **arrays)
         self.folder.mkdir(parents=True, exist_ok=True)
         replace_bytes(path, buffer.getvalue())
-        numbers = self._numbers()
+        numbers = self.numbers()
         for other in {*numbers[: numbers.index(number)], *numbers[numbers.index(number) + self.keep :]}:
             (self.folder / NAME.format(other)).unlink(missing_ok=True)
         for part in self.folder.glob(NAME.replace("{:08d}", "*") + ".part"):
             part.unlink(missing_ok=True)
 
-    def _numbers(self) -> list[int]:
-        """Numbers of the checkpoints in the folder, the largest first."""
+    def numbers(self) -> list[int]:
+        """Numbers of the checkpoints in the folder, the largest first (not collective)."""
         found = (path.stem.rpartition("_")[2] for path in self.folder.glob(NAME.replace("{:08d}", "*")))
         numbers = sorted({int(number) for number in found if number.isdecimal()}, reverse=True)
         return [number for number in numbers if (self.folder / NAME.format(number)).exists()]
@@ -159,7 +162,7 @@ class Checkpoints:
 
     def _find(self, which: int | str | Path) -> Checkpoint:
         if str(which) == "latest":
-            for number in self._numbers():
+            for number in self.numbers():
                 path = self.folder / NAME.format(number)
                 try:
                     return self._load(path)

@@ -11,12 +11,15 @@ if run.step < steps:                                # told to end; a checkpoint 
     return
 """
 
+import json
 import logging
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
+from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import checks
@@ -25,6 +28,13 @@ from tigar_x.script import Termination, plain
 from tigar_x.time_integration import TimeIntegrator
 
 log = logging.getLogger(__name__)
+
+ABSENT = "absent"
+"""What a setting is that was not there."""
+ENDED = "ended after step %d at t = %.6g, as told; restart = latest goes on from %s"
+REPLACES = (
+    "%s has checkpoints up to step %d, which this run replaces with its own; restart = latest would go on from them"
+)
 
 
 class State(Protocol):
@@ -77,8 +87,8 @@ class Integrators:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Schemes and step sizes."""
-        return {name: {**asdict(time.scheme), "dt": time.step_size} for name, time in self._integrators.items()}
+        """Schemes."""
+        return {"schemes": {name: asdict(time.scheme) for name, time in self._integrators.items()}}
 
     @property
     def time(self) -> float:
@@ -93,9 +103,18 @@ class Integrators:
         """All integrators are known by their fields."""
 
     def resume(self, record: Mapping[str, Any]) -> None:
-        """Set the clocks, and x to x_n."""
+        """Set the clocks, with the step sizes of the record, and x to x_n."""
         for name, time in self._integrators.items():
-            time.resume(*record["clocks"][name])
+            t, dt = record["clocks"][name]
+            if not math.isclose(dt, time.step_size):
+                _tell(
+                    logging.WARNING,
+                    "%s goes on with its dt = %g, not %g; assign to change it",
+                    name,
+                    dt,
+                    time.step_size,
+                )
+            time.resume(t, dt)
 
 
 class Restart:
@@ -114,7 +133,7 @@ class Restart:
         extra: JSON that the script wants remembered; it may change it at any time.
 
     Raises:
-        ValueError: a number is out of range, or a field cannot be stored.
+        ValueError: a number is out of range, a field cannot be stored, or the inputs are no JSON.
     """
 
     def __init__(
@@ -128,7 +147,11 @@ class Restart:
     ) -> None:
         self.every = checks.whole("every", every, 0)
         self.state = state
-        self.inputs = dict(inputs or {})
+        self.inputs = plain(dict(inputs or {}))
+        try:
+            json.dumps(self.inputs, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"inputs = {self.inputs!r}: finite JSON is required ({error})") from error
         self.checkpoints = Checkpoints(folder, state.fields, keep=keep)
         self.step = 0
         self.after: float | None = None
@@ -136,7 +159,7 @@ class Restart:
 
     @property
     def _settings(self) -> dict[str, Any]:
-        return {"inputs": plain(self.inputs), **plain(dict(self.state.settings))}
+        return {"inputs": self.inputs, **plain(dict(self.state.settings))}
 
     def write(self) -> Path:
         """Write a checkpoint of the present step.
@@ -146,7 +169,7 @@ class Restart:
 
         Raises:
             OSError: it cannot be written; earlier ones stay.
-            ValueError: ``inputs`` or ``extra`` is no JSON.
+            ValueError: ``extra`` is no JSON.
         """
         record = {"state": self.state.record(), "settings": self._settings, "extra": self.extra}
         return self.checkpoints.write(self.step, record)
@@ -166,10 +189,10 @@ class Restart:
         self.state.check(record["state"])
         self.checkpoints.restore(found)
         for text in _differences(record["settings"], self._settings):
-            log.warning("%s was written with %s", found.path, text)
+            _tell(logging.WARNING, "%s was written with %s", found.path, text)
         self.state.resume(record["state"])
         self.step, self.extra, self.after = found.number, record["extra"], self.state.time
-        log.info("going on after step %d at t = %.6g from %s", self.step, self.after, found.path)
+        _tell(logging.INFO, "going on after step %d at t = %.6g from %s", self.step, self.after, found.path)
 
     def steps(self, numbers: Iterable[int]) -> Iterator[int]:
         """Numbers of steps, which the loop's body makes; writes checkpoints between them.
@@ -179,6 +202,8 @@ class Restart:
         Args:
             numbers: of the steps to make, the first one ``step + 1``.
         """
+        if self.after is None and (old := self.checkpoints.numbers()):
+            _tell(logging.WARNING, REPLACES, self.checkpoints.folder, old[0])
         with Termination() as asked:
             for number in numbers:
                 yield number
@@ -187,12 +212,7 @@ class Restart:
                 if ends or (self.every and number % self.every == 0):
                     path = self.write()
                 if ends:
-                    log.info(
-                        "ended after step %d at t = %.6g, as told; to go on: restart = latest (%s)",
-                        number,
-                        self.state.time,
-                        path,
-                    )
+                    _tell(logging.INFO, ENDED, number, self.state.time, path)
                     return
 
     def named(self, path: Path | str) -> Path:
@@ -201,10 +221,16 @@ class Restart:
         return path if self.after is None else path.with_name(f"{path.stem}_{self.step:06d}{path.suffix}")
 
 
+def _tell(level: int, message: str, *values: Any) -> None:
+    """Log once for all ranks."""
+    if MPI.COMM_WORLD.rank == 0:
+        log.log(level, message, *values)
+
+
 def _differences(found: Any, present: Any, name: str = "") -> Iterator[str]:
     """Settings that differ, in words."""
     if isinstance(found, dict) and isinstance(present, dict):
         for key in sorted({*found, *present}):
-            yield from _differences(found.get(key), present.get(key), f"{name}.{key}" if name else key)
+            yield from _differences(found.get(key, ABSENT), present.get(key, ABSENT), f"{name}.{key}" if name else key)
     elif found != present:
-        yield f"{name} = {found!r}; now it is {present!r}"
+        yield f"{name} = {found!r}, now it is {present!r}"

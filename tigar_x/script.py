@@ -241,15 +241,15 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """Containers of dataclasses, NumPy's numbers and paths as JSON has them; None in a dataclass is left out."""
+    """Containers of dataclasses, NumPy's arrays and paths as JSON has them; None in a dataclass is left out."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain({k: v for k, v in asdict(value).items() if v is not None})
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return value.item()
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     return str(value) if isinstance(value, Path) else value
 
 
