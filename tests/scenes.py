@@ -13,7 +13,9 @@ from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x import compat, shapes
 from tigar_x.linear import direct
+from tigar_x.multipatch import disjoint
 from tigar_x.patch import Patch
+from tigar_x.quadrature import NodalQuadrature
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.boundary import weak_dirichlet
@@ -49,8 +51,9 @@ def sheet_in_flow(
     length=1.0,
     stiffness=10.0,
     weights=None,
+    contact=None,
 ):
-    """A free elastic sheet in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
+    """A free elastic sheet, or several, in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
     L = length
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.zeros(2), np.full(2, L)], [n, n], mesh.CellType.triangle)
     V = compat.mixed_space(domain, (2, 2), (1, 1)) if taylor_hood else equal_order_space(domain)
@@ -87,6 +90,7 @@ def sheet_in_flow(
         stiffness=stiffness,
         traction=traction,
         weights=weights,
+        contact=contact,
     )
     fsi = CouDALFISh(fluid, sheet.shell, CouplingOptions() if options is None else options)
     return SimpleNamespace(fsi=fsi, fluid=fluid, w=w, g=g, mu=c_mu, domain=domain, **vars(sheet))
@@ -104,17 +108,24 @@ def free_sheet(
     stiffness=10.0,
     traction=0.0,
     weights=None,
+    contact=None,
 ):
-    """A straight elastic sheet without supports that has a uniform velocity."""
-    line = shapes.line(*np.asarray(ends), elements=elements, degree=1 if weights is None else 2)
-    patch = line if weights is None else Patch.from_points(line.bases, line.points, weights(line.basis.n))
+    """Straight elastic sheets without supports, each with a uniform velocity; ``contact`` makes it of the points."""
+    lines = [
+        shapes.line(*pair, elements=elements, degree=1 if weights is None else 2)
+        for pair in np.reshape(np.asarray(ends, dtype=float), (-1, 2, 2))
+    ]
+    if weights is not None:
+        lines = [Patch.from_points(line.bases, line.points, weights(line.basis.n)) for line in lines]
+    velocities = np.broadcast_to(np.asarray(velocity, dtype=float), (len(lines), 2))
+    patch = lines[0] if len(lines) == 1 else disjoint(*lines)
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=6)
     y = spline.function(name="y")
     time = TimeIntegrator(
         y,
         dt,
         generalized_alpha(rho_infinity, 2, first_order_alpha_m=True),
-        xdot=spline.function(patch.weights[:, None] * np.asarray(velocity, dtype=float)),
+        xdot=spline.function(patch.weights[:, None] * np.repeat(velocities, lines[0].basis.n, axis=0)),
     )
     z = ufl.TestFunction(spline.V)
     E, h, c_rho_s = (fem.Constant(spline.mesh, float(x)) for x in (stiffness, thickness, rho_s))
@@ -123,4 +134,6 @@ def free_sheet(
     residual += inertia(spline, time.xddot_alpha, z, density=c_rho_s, thickness=h)
     load = fem.Constant(spline.mesh, np.array([float(traction), 0.0]))
     residual -= ufl.inner(load, spline.rationalize(z)) * spline.dx
-    return SimpleNamespace(shell=ShellSubproblem(spline, residual, time, solver=direct("petsc")), y=y, load=load)
+    touching = None if contact is None else contact(NodalQuadrature.of(spline))
+    shell = ShellSubproblem(spline, residual, time, solver=direct("petsc"), contact=touching)
+    return SimpleNamespace(shell=shell, y=y, load=load)
