@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from tigar_x.compat import FloatArray
 
@@ -66,10 +67,40 @@ def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, facto
     return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
 
 
+def patch_means(patches: NDArray[np.int64], W: FloatArray) -> sp.csr_matrix:
+    """Projection onto values that are constant per patch, ``sum_patch W x / sum_patch W`` at every point of a patch.
+
+    Args:
+        patches: number of the patch of every point, negative for points of none, shape (points,).
+        W: reference areas, shape (points,).
+
+    Returns:
+        Matrix P, with empty rows at points of no patch or of one without area, shape (points, points).
+    """
+    inside = np.flatnonzero(patches >= 0)
+    _, group = np.unique(patches[inside], return_inverse=True)
+    members = sp.csr_matrix((np.ones(len(inside)), (group, inside)), shape=(group.max(initial=-1) + 1, len(patches)))
+    area = members @ W
+    share = np.divide(1.0, area, out=np.zeros_like(area), where=area > 0.0)
+    return (members.T @ sp.diags(share) @ members @ sp.diags(W)).tocsr()
+
+
 def updated_multiplier(
-    lam: FloatArray, u: FloatArray, y_dot: FloatArray, n: FloatArray, active: Any, *, penalty: float, relaxation: float
+    lam: FloatArray,
+    u: FloatArray,
+    y_dot: FloatArray,
+    n: FloatArray,
+    active: Any,
+    *,
+    penalty: float,
+    relaxation: float,
+    means: sp.csr_matrix | None = None,
 ) -> FloatArray:
-    """Multiplier of the next step, ``[lam + beta (u - y') . n]/(1 + r)``; inactive points keep theirs.
+    """Multiplier of the next step; inactive points keep theirs.
+
+    With ``lam* = lam + beta (u - y') . n`` it is ``lam*/(1 + r)``, or ``P lam* + (lam* - P lam*)/(1 + r)`` with means P.
+    The latter damps variations inside a patch and keeps the force on it, so that no net flow leaks through it (compare
+    Kamensky et al., doi:10.1016/j.camwa.2017.07.006).
 
     Args:
         lam: multiplier of this step, shape (points,).
@@ -78,10 +109,13 @@ def updated_multiplier(
         n: shell normals, shape (points, d).
         active: mask of the points in the fluid, shape (points,).
         penalty: beta.
-        relaxation: r >= 0; a steady sheet leaks at the speed r lam/beta.
+        relaxation: r >= 0; without means a steady sheet leaks at the speed r lam/beta.
+        means: from :func:`patch_means`; None: all of the multiplier is damped.
 
     Returns:
         New multiplier, shape (points,).
     """
     slip = np.einsum("qi,qi->q", u - y_dot, n)
-    return np.where(active, (lam + penalty * slip) / (1.0 + relaxation), lam)
+    new = lam + penalty * slip
+    kept = 0.0 if means is None else means @ new
+    return np.where(active, kept + (new - kept) / (1.0 + relaxation), lam)

@@ -102,6 +102,9 @@ class Step:
         self.inactive = int((~location.active).sum())
         self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
         self.trace = trace_matrix(self.fluid.velocity_space, location)
+        self.means = None
+        if self.options.relaxation_mode == "projected":
+            self.means = exchange.patch_means(self.c.locator.nearest_vertices(location), self.W)
         if self.fluid.band is not None:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
@@ -222,9 +225,9 @@ class Step:
     def _finish(self) -> StepReport:
         slip = self.u - self.y_dot
         forces = self.forces
-        lam = exchange.updated_multiplier(
-            self.c.lam, self.u, self.y_dot, self.n, self.active, penalty=self.beta, relaxation=self.options.relaxation
-        )
+        state = self.c.lam, self.u, self.y_dot, self.n, self.active
+        r = self.options.relaxation
+        lam = exchange.updated_multiplier(*state, penalty=self.beta, relaxation=r, means=self.means)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
         on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))

@@ -86,6 +86,27 @@ def test_the_way_to_the_solution_does_not_change_it(change):
     assert difference < (1e-4 if "normal" in change else 1e-8)
 
 
+@pytest.mark.mpi
+def test_projected_relaxation_changes_the_multiplier_alone_and_keeps_its_force():
+    """In one step, whose fields are solved with the multiplier before it; in uniform mode the force shrinks."""
+    lams, states = {}, []
+    r = 0.5
+    for mode in ("none", "uniform", "projected"):
+        options = replace(TIGHT, relaxation=0.0 if mode == "none" else r)
+        options = options if mode == "none" else replace(options, relaxation_mode=mode)
+        scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.0), density_of_points=32, options=options)
+        scene.fsi.takeStep()
+        lams[mode] = scene.fsi.lam
+        states.append(np.concatenate([scene.w.x.array, scene.y.x.array]))
+    W = scene.shell.quadrature.weights
+    for other in states[1:]:
+        np.testing.assert_allclose(other, states[0], atol=1e-9)
+    whole = lams["none"]
+    np.testing.assert_allclose(lams["uniform"], whole / (1.0 + r), rtol=1e-12)
+    assert W @ lams["projected"] == pytest.approx(W @ whole, rel=1e-9)
+    assert np.abs(lams["projected"] - whole).max() > 1e-3 * np.abs(whole).max()
+
+
 def test_published_stopping_costs_a_superfluous_pass():
     passes = []
     for stopping in ("before_solve", "published"):
@@ -239,6 +260,7 @@ def test_warnings_once_for_slip_and_for_spacing(caplog):
         ("penalty", 0.0),
         ("penalty", np.nan),
         ("relaxation", -1.0),
+        ("relaxation_mode", "by cell"),
         ("scale_m", 0.0),
         ("scale_c", 2.0),
         ("fluid_tangent", "exact"),

@@ -78,3 +78,78 @@ def test_steady_state_of_the_multiplier_is_a_porous_screen(relaxation):
         lam = exchange.updated_multiplier(lam, w, 0 * w, n, np.array([True]), penalty=BETA, relaxation=relaxation)
     expected = BETA * 1e-3 / relaxation if relaxation else 4000 * BETA * 1e-3
     np.testing.assert_allclose(lam, expected, rtol=1e-9)
+
+
+# -- projected relaxation ---------------------------------------------------------------------------------------------
+
+ALL, REST = np.ones(POINTS, dtype=bool), np.zeros((POINTS, 2))
+
+
+def relaxed(lam, n, W, patches, r, *, active=ALL, u=REST):
+    means = exchange.patch_means(patches, W)
+    return exchange.updated_multiplier(lam, u, REST, n, active, penalty=BETA, relaxation=r, means=means)
+
+
+@pytest.fixture
+def patches():
+    return np.array([2, 7, 7, 30, 2, 11]).repeat(5)
+
+
+def test_means_are_a_projection(arrays, patches):
+    _, _, W, _, _, lam = arrays
+    P = exchange.patch_means(patches, W)
+    for patch in np.unique(patches):
+        mine = patches == patch
+        np.testing.assert_allclose((P @ lam)[mine], np.average(lam[mine], weights=W[mine]), rtol=1e-13)
+    np.testing.assert_allclose((P @ P - P).toarray(), 0.0, atol=1e-15)
+    np.testing.assert_allclose(W @ P.toarray(), W, rtol=1e-13)  # it is orthogonal in the area
+
+
+@pytest.mark.parametrize("r", [0.1, 1.0])
+def test_the_force_on_every_patch_is_kept(arrays, patches, r):
+    """That of the multiplier before relaxation, so that no net flow leaks through a patch; uniformly it is not."""
+    _, n, W, u, _, lam = arrays
+    whole = exchange.updated_multiplier(lam, u, REST, n, ALL, penalty=BETA, relaxation=0.0)
+    new = relaxed(lam, n, W, patches, r, u=u)
+    uniform = exchange.updated_multiplier(lam, u, REST, n, ALL, penalty=BETA, relaxation=r)
+    for patch in np.unique(patches):
+        mine = patches == patch
+        force = W[mine] @ whole[mine]
+        assert W[mine] @ new[mine] == pytest.approx(force, rel=1e-12)
+        assert W[mine] @ uniform[mine] == pytest.approx(force / (1.0 + r), rel=1e-12)
+
+
+def test_a_pattern_without_force_decays_and_what_is_constant_stays(patches):
+    """By 1/(1 + r) in every step."""
+    n, W, r = np.tile([1.0, 0.0], (POINTS, 1)), np.ones(POINTS), 0.5
+    sign = np.tile([1.0, -1.0], POINTS // 2)
+    pairs = np.arange(POINTS) // 2
+    lam = 3.0 + sign
+    for step in range(1, 4):
+        lam = relaxed(lam, n, W, pairs, r)
+        np.testing.assert_allclose(lam, 3.0 + sign / 1.5**step, rtol=1e-13)
+    np.testing.assert_allclose(relaxed(np.full(POINTS, 4.0), n, W, patches, r), 4.0, rtol=1e-13)
+
+
+def test_one_point_per_patch_is_left_alone_and_one_patch_is_not_uniform(arrays):
+    _, n, W, u, _, lam = arrays
+    whole = exchange.updated_multiplier(lam, u, REST, n, ALL, penalty=BETA, relaxation=0.0)
+    np.testing.assert_allclose(relaxed(lam, n, W, np.arange(POINTS), 0.7, u=u), whole, rtol=1e-12)
+    together = relaxed(lam, n, W, np.zeros(POINTS, dtype=int), 1e12, u=u)
+    np.testing.assert_allclose(together, np.average(whole, weights=W), rtol=1e-9)
+
+
+def test_points_of_no_patch_and_patches_without_area(arrays, patches):
+    """The former keep their multiplier; neither enters any mean, and nothing is undefined."""
+    _, n, W, u, _, lam = arrays
+    outside, empty = np.arange(POINTS) % 4 == 0, patches == 7
+    patches = np.where(outside, -1, patches)
+    W = np.where(outside | empty, 0.0, W)
+    new = relaxed(lam, n, W, patches, 0.3, active=~outside, u=u)
+    np.testing.assert_array_equal(new[outside], lam[outside])
+    assert np.isfinite(new).all()
+    mine = patches == 2
+    whole = exchange.updated_multiplier(lam, u, REST, n, ~outside, penalty=BETA, relaxation=0.0)
+    assert W[mine] @ new[mine] == pytest.approx(W[mine] @ whole[mine], rel=1e-12)
+    nowhere = relaxed(lam, n, 0.0 * W, np.full(POINTS, -1), 0.3, active=np.zeros(POINTS, dtype=bool), u=u)
+    np.testing.assert_array_equal(nowhere, lam)

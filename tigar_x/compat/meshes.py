@@ -155,11 +155,6 @@ def owned_cells(domain: mesh.Mesh) -> int:
     return int(domain.topology.index_map(domain.topology.dim).size_local)
 
 
-def global_cells(domain: mesh.Mesh, cells: IntArray) -> NDArray[np.int64]:
-    """Global numbers of local cells."""
-    return np.asarray(domain.topology.index_map(domain.topology.dim).local_to_global(cells), dtype=np.int64)
-
-
 def bounding_box_tree(domain: mesh.Mesh, padding: float, vertices: FloatArray | None = None) -> Any:
     """Bounding box tree of the cells that this rank owns.
 
