@@ -98,9 +98,9 @@ def updated_multiplier(
 ) -> FloatArray:
     """Multiplier of the next step; inactive points keep theirs.
 
-    With ``lam* = lam + beta (u - y') . n`` it is ``lam*/(1 + r)``, or ``P lam* + (lam* - P lam*)/(1 + r)`` with means P.
-    The latter damps variations inside a patch and keeps the force on it, so that no net flow leaks through it (compare
-    Kamensky et al., doi:10.1016/j.camwa.2017.07.006).
+    It follows from ``lam* = lam + beta (u - y') . n`` as ``lam*/(1 + r)`` or, with means P, as
+    ``P lam* + (lam* - P lam*)/(1 + r)``. The latter damps variations inside a patch and keeps the force on it, so that
+    no net flow leaks through it (compare Kamensky et al., doi:10.1016/j.camwa.2017.07.006).
 
     Args:
         lam: multiplier of this step, shape (points,).
