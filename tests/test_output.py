@@ -197,6 +197,32 @@ def test_vtu_of_a_distributed_spline_fills_the_whole_shape(folder, dim, cells):
     assert volume == pytest.approx(2.0**dim, rel=1e-12)
 
 
+@pytest.mark.mpi
+def test_a_vtu_series_goes_on(folder):
+    pytest.importorskip("meshio")
+    s = spline("line", alone=True)
+
+    def write(*times, after=None):
+        with VTUSeries(folder / "shell", s, after=after) as movie:
+            for t in times:
+                movie.write(t)
+        WORLD.barrier()
+        index = read_index(folder / "shell.pvd")
+        files = sorted(path.name for path in folder.glob("*.vtu"))
+        WORLD.barrier()
+        assert files == [file.name for _, file in index] == [f"shell_{n:06d}.vtu" for n in range(len(index))]
+        return [t for t, _ in index]
+
+    assert write(0.1, after=0.0) == [0.1]  # there is none yet
+    assert write(0.1, 0.2, 0.1 + 0.2, 0.4) == [0.1, 0.2, 0.1 + 0.2, 0.4]
+    assert write(after=0.3) == [0.1, 0.2, 0.1 + 0.2]
+    assert write(0.35, 0.5, after=0.2) == [0.1, 0.2, 0.35, 0.5]
+    if WORLD.rank == 0:
+        (folder / "shell.pvd").write_text("<VTKFile>")
+    with pytest.raises(ValueError, match=r"shell.pvd: not the index of a series"):
+        VTUSeries(folder / "shell", s, after=0.2)
+
+
 # -- CSV and text -----------------------------------------------------------------------------------------------------
 
 
@@ -217,6 +243,67 @@ def test_csv_history(folder):
             with pytest.raises(ValueError, match=rf"values has {len(values)} entries: 2 are required \('u x', 'F'\)"):
                 history.write(0.3, *values)
     assert len(path.read_text().splitlines()) == 3
+
+
+@pytest.mark.mpi
+def test_a_csv_history_goes_on(folder):
+    path = folder / "tip.csv"
+
+    def write(*rows, after=None):
+        with CSVSeries(path, ["u x", "F"], after=after) as history:
+            for row in rows:
+                history.write(*row)
+        WORLD.barrier()
+        with open(path, newline="") as file:
+            header, *found = csv.reader(file)
+        WORLD.barrier()
+        assert header == ["t", "u x", "F"]
+        return [tuple(map(float, row)) for row in found]
+
+    a, b, c = (0.1, 1 / 3, 2.0), (0.1 + 0.2, np.pi, -0.0), (0.4, 5.0, 1e-300)
+    assert write(a, after=0.0) == [a]  # there is none yet
+    assert write(a, b, c) == [a, b, c]
+    assert write(after=0.3) == [a, b]
+    assert write(c, after=0.3) == [a, b, c]
+    assert write(after=0.0) == []
+
+
+@pytest.mark.parametrize("torn", ["0.1", "0.15,2", "0.2,3.", ""])
+def test_a_row_that_was_not_finished_is_dropped(torn, tmp_path):
+    path = tmp_path / "tip.csv"
+    path.write_bytes(b"t,F\r\n0.1,1.5\r\n" + torn.encode())
+    with CSVSeries(path, ["F"], after=0.3) as history:
+        history.write(0.4, 2.5)
+    assert path.read_text().splitlines() == ["t,F", "0.1,1.5", "0.4,2.5"]
+
+
+@pytest.mark.parametrize("begun", ["", "t,"])
+def test_a_history_that_was_hardly_begun_is_a_new_one(begun, tmp_path):
+    (tmp_path / "tip.csv").write_text(begun)
+    with CSVSeries(tmp_path / "tip.csv", ["F"], after=0.3) as history:
+        history.write(0.4, 2.5)
+    assert (tmp_path / "tip.csv").read_text().splitlines() == ["t,F", "0.4,2.5"]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,G\n0.1,1\n", r"columns \['t', 'G'\] were found, \['t', 'F'\] are required"),
+        ("t,F,G\n0.1,1,2\n", r"columns \['t', 'F', 'G'\] were found"),
+        ("t,F\nsoon,1\n", "not a history"),
+        ("t,F\n\n", "not a history"),
+    ],
+)
+def test_a_history_of_another_kind_is_refused_and_stays(text, message, folder):
+    path = folder / "tip.csv"
+    if WORLD.rank == 0:
+        folder.mkdir()
+        path.write_text(text)
+    with pytest.raises(ValueError, match=rf"tip.csv: {message}"):
+        CSVSeries(path, ["F"], after=0.3)
+    WORLD.barrier()
+    assert path.read_text() == text
 
 
 def test_csv_is_closed_when_the_run_fails(tmp_path):

@@ -3,6 +3,9 @@
 import io
 import json
 import logging
+import os
+import signal
+import threading
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -167,6 +170,65 @@ def test_progress_is_a_bar_in_a_terminal(monkeypatch, caplog):
     assert all(bar.index("]") == 25 for bar in bars)
     assert terminal.getvalue().endswith("\n")
     assert not caplog.records
+
+
+# -- being told to end ------------------------------------------------------------------------------------------------
+
+SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT)
+
+
+def handlers():
+    return [signal.getsignal(number) for number in SIGNALS]
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_run_is_told_to_end(number, caplog):
+    before = handlers()
+    with script.Termination() as asked:
+        assert not asked()
+        assert not set(before) & set(handlers())
+        os.kill(os.getpid(), number)
+        assert asked()
+        assert asked()
+    assert handlers() == before
+    assert f"{number.name}: ending after the step in progress" in caplog.text
+    with script.Termination() as asked:
+        assert not asked()
+
+
+def test_the_second_interrupt_is_one():
+    before = handlers()
+
+    def run():
+        with script.Termination() as asked:
+            os.kill(os.getpid(), signal.SIGINT)
+            assert asked()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert handlers() == before
+
+
+def test_a_thread_gets_no_signals():
+    before, found = handlers(), []
+
+    def run():
+        with script.Termination() as asked:
+            found.append((asked(), handlers()))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found == [(False, before)]
+
+
+def test_progress_goes_on_where_another_run_ended(caplog):
+    progress = script.Progress(8, done=5)
+    with caplog.at_level(logging.INFO, logger="tigar_x.script"):
+        assert [n for n in progress if progress.show(f"at {n}") is None] == [6, 7, 8]
+    assert [record.getMessage() for record in caplog.records] == [f"step {n}/8  at {n}" for n in (6, 7, 8)]
+    assert list(script.Progress(8, done=8)) == []
 
 
 # -- costs ------------------------------------------------------------------------------------------------------------

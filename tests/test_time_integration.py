@@ -168,6 +168,34 @@ def test_a_step_is_taken_back():
     assert time.time == 0.0
 
 
+@pytest.mark.parametrize("scheme", [generalized_alpha(0.5), generalized_alpha(0.2, 2), backward_euler(2)])
+def test_the_state_and_the_clock_are_all_that_steps_follow_from(scheme):
+    def step(time):
+        time.predict()
+        solve_step(time, 3.0, 0.2, np.cos)
+        time.advance()
+
+    whole = integrator(scheme, 0.3, 1.0, 2.0, t=0.7)
+    for _ in range(3):
+        step(whole)
+    assert list(whole.state) == ["x", "xdot", "xddot"][: scheme.order + 1]
+    other = integrator(scheme, 0.9, 5.0)
+    for name, f in other.state.items():
+        f.x.array[:] = whole.state[name].x.array
+    other.resume(whole.time, whole.step_size)
+    assert other.x.x.array[0] == whole.x.x.array[0]
+    assert [float(c.value) for c in (other.t, other.t_alpha, other.dt)] == [
+        float(c.value) for c in (whole.t, whole.t_alpha, whole.dt)
+    ]
+    for time in (whole, other):
+        step(time)
+    assert [f.x.array[0] for f in other.state.values()] == [f.x.array[0] for f in whole.state.values()]
+    for t, dt in ((float("nan"), 0.1), (0.0, 0.0)):
+        with pytest.raises(ValueError, match="is required"):
+            other.resume(t, dt)
+    assert (other.time, other.step_size) == (whole.time, whole.step_size)
+
+
 # -- orders -----------------------------------------------------------------------------------------------------------
 
 

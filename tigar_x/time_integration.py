@@ -328,8 +328,8 @@ class TimeIntegrator:
         Raises:
             ValueError: t is not finite, or dt not positive.
         """
-        self._t_n = checks.finite("t", t)
-        self.step_size = dt
+        self._t_n, self.dt.value = checks.finite("t", t), checks.positive("dt", dt)
+        self._set_clock()
         self.restore()
 
     def restore(self) -> None:
