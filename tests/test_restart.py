@@ -16,6 +16,7 @@ from mpi4py import MPI
 from load import load_demo
 from mpi_runs import MPIRUN, mpirun
 from on_disk import ROOT
+from test_coupled_contact import approaching
 
 from coudalfish import PenaltyRule
 from coudalfish.restart import CoupledState
@@ -50,6 +51,7 @@ COUPLED = {
     "taylor_hood": lambda: restarted.scene(taylor_hood=True).fsi,
     "rational": lambda: restarted.scene(weights=rational).fsi,
     "default": lambda: restarted.scene(options=None).fsi,
+    "contact": lambda: approaching(speed=6.0, dt=0.004, options=restarted.TIGHT).fsi,  # in steps 4 and 5
     "moving": lambda: moving.scene(moving.prescribed(moving.bubble), sheet_velocity=(0.5, 0.0), n=4),
     "elastic": lambda: moving.scene(elastic, sheet_velocity=(0.5, 0.0), n=4),
 }
@@ -251,12 +253,22 @@ def test_bad_input_is_refused_before_the_run(tmp_path):
             restart_of(tmp_path, fsi, inputs={"bad": bad})
 
 
-def test_a_demo_goes_on(tmp_path):
+def test_a_demo_that_is_told_to_end_goes_on(tmp_path, monkeypatch):
     """The history, the series and the summary of the demo are those of a run that was never ended."""
     demo = load_demo("manufactured")
     whole = demo.main(**demo.TOY, out=tmp_path / "whole")
-    demo.main(**demo.TOY, out=tmp_path / "ended", checkpoint_every=5)
-    resumed = demo.main(**demo.TOY, out=tmp_path / "ended", restart="5")
+    in_numbers = demo.in_numbers
+
+    def told_to_end(report):
+        if report.t > 0.4:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return in_numbers(report)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(demo, "in_numbers", told_to_end)
+        assert demo.main(**demo.TOY, out=tmp_path / "ended") == {}
+    assert [path.name for path in (tmp_path / "ended" / "checkpoints").iterdir()] == ["checkpoint_00000005.npz"]
+    resumed = demo.main(**demo.TOY, out=tmp_path / "ended", restart="latest")
     for key in ("errors", "block_iterations_mean", "linear_iterations_mean", "monitors", "inputs"):
         assert resumed[key] == whole[key]
     for name in ("history.csv", "shell.pvd"):
