@@ -93,7 +93,7 @@ def measure(case: Case) -> dict[str, Any]:
         case.options,
         leaflet_elements=case.leaflet_elements,
         degree=case.degree,
-        is_mirrored=case.mirrored,
+        mirrored=case.mirrored,
         invariant_metric=case.invariant_metric,
         solver=case.solver,
         data=data,

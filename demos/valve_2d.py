@@ -16,9 +16,7 @@ Source: Kamensky et al., section 4.7, doi:10.1016/j.cma.2014.10.040; with the di
 doi:10.1016/j.camwa.2020.01.023.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -29,6 +27,7 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, StepReport, SurfaceBand
+from coudalfish.restart import CoupledState
 from shnapr.loads import inertia
 from shnapr.supports import clamped
 from shnapr.svk import StVenantKirchhoff
@@ -38,25 +37,26 @@ from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, direct
 from tigar_x.multipatch import disjoint
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
+from tigar_x.restart import Restart
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from varmint.conditions import Condition, Slip, Traction, WeakVelocity
 from varmint.flow import Flow, FlowOptions
-from varmint.mesh import NamedMesh, box, named
-from varmint.mesh_arrays import from_arrays
+from varmint.mesh import NamedMesh, box
+from varmint.mesh_arrays import mirrored_box
 from varmint.pictures import PlaneField
 from varmint.quantities import Measured, NodalField, kinetic_energy, vorticity
 
 DOI = "10.1016/j.cma.2014.10.040"
 TOY = {"elements": 6, "leaflet_elements": 6, "until": 0.15, "dt_factor": 1.5}
-BOTTOM, TOP = 0, 1
+SIDES, FRAMES = ("bottom", "top"), 60
 
 # Time and displacement along the channel of the top tip, read off the published curve (+-0.04 and +-0.005); the times
 # of the troughs were not read off.
 PEAKS = ((0.25, 0.579), (1.21, 0.585), (2.27, 0.583))
 TROUGHS = (0.324, 0.324, 0.325)
 COLUMNS = (
-    *("passes", "bottom_x", "bottom_y", "top_x", "top_y", "inflow", "leak", "normal_slip_rms"),
+    *("passes", "bottom_x", "bottom_y", "top_x", "top_y", "inflow", "leak", "normal_slip"),
     *("kinetic_fluid", "kinetic_shell", "elastic"),
 )
 
@@ -127,38 +127,6 @@ class Valve:
         )
 
 
-def mirrored(data: Data, elements: Sequence[int]) -> NamedMesh:
-    """The channel of simplices of which those above its axis mirror those below.
-
-    Args:
-        data: of the problem.
-        elements: along the axes; an even number along the second.
-
-    Raises:
-        ValueError: an odd number across the channel.
-    """
-    d, lengths = len(elements), (data.length, data.height, data.depth)
-    if elements[1] % 2:
-        raise ValueError(f"elements = {elements[1]}: an even number is required for a mirrored mesh")
-    boxes = np.indices(elements).reshape(d, -1).T
-    steps = [np.eye(d, dtype=int)[list(order)].cumsum(axis=0) for order in permutations(range(d))]
-    paths = np.pad(steps, ((0, 0), (1, 0), (0, 0)))  # every simplex goes from the lowest corner to the highest one
-    vertices = boxes[:, None, None] + paths
-    above = boxes[:, 1] >= elements[1] // 2
-    vertices[above, ..., 1] = boxes[above, None, None, 1] + 1 - paths[..., 1]
-    cells = np.ravel_multi_index(tuple(np.moveaxis(vertices, -1, 0)), np.array(elements) + 1).reshape(-1, d + 1)
-    lines = [np.linspace(0.0, length, n + 1) for length, n in zip(lengths, elements, strict=False)]
-    x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, d)
-    domain = from_arrays(MPI.COMM_WORLD, "triangle" if d == 2 else "tetrahedron", cells, x).domain
-    names = ("left", "right", "bottom", "top", "back", "front")[: 2 * d]
-    places = [(i, end) for i in range(d) for end in (0.0, lengths[i])]
-    sides: dict[str, Any] = {
-        name: lambda x, i=i, end=end: np.isclose(x[i], end, atol=1e-9)
-        for name, (i, end) in zip(names, places, strict=True)
-    }
-    return named(domain, **sides)
-
-
 def make_flow(mesh: NamedMesh, data: Data, dt: float, band: SurfaceBand, options: FlowOptions) -> Flow:
     """Weak velocities on inlet and walls, a free outlet, slip on an extrusion's ends."""
     d = mesh.domain.geometry.dim
@@ -201,7 +169,7 @@ def make_leaflets(data: Data, d: int, elements: int, degree: int, dt: float) -> 
             for low, high in spans
         ]
     leaflets = disjoint(*patches)
-    fixed = [clamped(leaflets, "u0", patch=BOTTOM), clamped(leaflets, "u1", patch=TOP)]
+    fixed = [clamped(leaflets, "u0", patch=0), clamped(leaflets, "u1", patch=1)]
     if d == 3:
         fixed.append(np.arange(2, 3 * leaflets.n, 3, dtype=np.int32))
     spline = ExtractedSpline(leaflets, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=np.unique(np.concatenate(fixed)))
@@ -223,7 +191,7 @@ def build(
     *,
     leaflet_elements: int = 16,
     degree: int = 2,
-    is_mirrored: bool = False,
+    mirrored: bool = False,
     invariant_metric: bool = False,
     solver: LinearSolver | None = None,
     data: Data | None = None,
@@ -237,7 +205,7 @@ def build(
         options: of the coupling; None: the defaults.
         leaflet_elements: Bezier elements of each leaflet.
         degree: of the leaflets.
-        is_mirrored: whether the cells above the channel's axis mirror those below.
+        mirrored: whether the cells above the channel's axis mirror those below.
         invariant_metric: whether the element metric does not depend on the numbering of vertices.
         solver: of the flow; None: by size.
         data: of the problem; None: as published.
@@ -245,8 +213,8 @@ def build(
     data = Data() if data is None else data
     n = checks.whole("elements", elements, 1)
     dt = data.T / (32 * n) if dt is None else dt
-    counts, upper = (5 * n, n, 1)[:d], (data.length, data.height, data.depth)[:d]
-    mesh = mirrored(data, counts) if is_mirrored else box(MPI.COMM_WORLD, (0.0,) * d, upper, counts)
+    lengths = (data.length, data.height, data.depth)[:d]
+    mesh = (mirrored_box if mirrored else box)(MPI.COMM_WORLD, (0.0,) * d, lengths, (5 * n, n, 1)[:d])
     shell, material = make_leaflets(data, d, leaflet_elements, degree, dt)
     band = SurfaceBand(mesh.domain)
     flow = make_flow(mesh, data, dt, band, FlowOptions(invariant_metric=invariant_metric))
@@ -291,13 +259,9 @@ def extrema(t: FloatArray, x: FloatArray) -> dict[str, tuple[float, float]]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def compare(history: FloatArray) -> tuple[dict[str, float], dict[str, script.Quantity]]:
-    """Deviations from the published peaks and troughs, and all quantities.
-
-    Args:
-        history: rows of time and the displacements of bottom and top tip along the channel.
-    """
-    t, bottom, top = history.T
+def compare(columns: dict[str, FloatArray]) -> tuple[dict[str, float], dict[str, script.Quantity]]:
+    """Deviations from the published peaks and troughs, and all quantities, from the columns of all steps."""
+    t, bottom, top = (columns[name] for name in ("t", "bottom_x", "top_x"))
     known = {f"peak_{n}": peak for n, peak in enumerate(PEAKS, 1)}
     known |= {f"trough_{n}": (None, trough) for n, trough in enumerate(TROUGHS, 1)}
     errors, qoi = {}, {}
@@ -326,6 +290,8 @@ def main(
     invariant_metric: bool = False,
     out: Path = Path("results/valve_2d"),
     viz: bool = True,
+    checkpoint_every: int = 0,
+    restart: str = "",
 ) -> dict[str, Any]:
     """Let the pulsating flow move two leaflets, and compare the top one's tip with the published curve.
 
@@ -338,139 +304,148 @@ def main(
         steps_per_element: the published time step is 3 over this times the elements.
         dt_factor: time step relative to the published one.
         until: end.
-        mirrored: whether the cells above the channel's axis mirror those below, for an even number of elements.
+        mirrored: whether the cells above the channel's axis mirror those below, which needs an even number of elements.
         invariant_metric: whether the stabilisation's element metric does not depend on the numbering of vertices.
         out: folder of the results.
         viz: whether to write ParaView files, the history and a picture.
+        checkpoint_every: steps between checkpoints; 0: none, but where the run is told to end.
+        restart: checkpoint to go on from: "latest", the number of its step, or its file.
 
     Returns:
-        The summary.
+        The summary; nothing where the run was told to end.
     """
     data, factor, until = Data(), checks.positive("dt_factor", dt_factor), checks.positive("until", until)
     published = checks.whole("steps_per_element", steps_per_element, 1) * checks.whole("elements", elements, 1)
-    checks.whole("leaflet_elements", leaflet_elements, 2), checks.whole("degree", degree, 2)
     dt = factor * data.T / published
     steps = max(1, round(until / dt))
-    options = CouplingOptions()
-    if preset == "reference":
-        options = replace(CouplingOptions.reference(), block_rtol=1e-2)
-    valve = build(
-        dim,
-        elements,
-        dt,
-        options,
-        leaflet_elements=leaflet_elements,
-        degree=degree,
-        is_mirrored=mirrored,
-        invariant_metric=invariant_metric,
-        data=data,
-    )
-    watch, progress = script.Stopwatch(), script.Progress(steps)
-    reports, rows, memory = [], [], []
-    pictures = Pictures(out, valve, steps) if viz else None
-    for n in progress:
+    discretisation = {
+        "leaflet_elements": checks.whole("leaflet_elements", leaflet_elements, 2),
+        "degree": checks.whole("degree", degree, 2),
+        "mirrored": mirrored,
+        "invariant_metric": invariant_metric,
+    }
+    options = options_of(preset)
+    valve = build(dim, elements, dt, options, data=data, **discretisation)
+    fsi = valve.fsi
+    inputs = {"dim": dim, "elements": elements, **discretisation, "preset": preset, "options": options}
+    inputs |= {"steps_per_element": steps_per_element, "dt_factor": factor}
+    run = Restart(out / "checkpoints", CoupledState(fsi), every=checkpoint_every, inputs=inputs)
+    if restart:
+        run.read(restart)
+
+    watch, progress = script.Stopwatch(), script.Progress(steps, done=run.step)
+    numbers, memory = run.extra.setdefault("steps", []), []
+    pictures = Pictures(out, valve, run, max(1, steps // FRAMES)) if viz else None
+    for n in run.steps(progress):
         with watch:
-            report = valve.fsi.takeStep()
-        reports.append(report)
-        tips = valve.tips()
-        rows.append((report.t, *tips[:, 0]))
+            report = fsi.takeStep()
+        numbers.append(in_numbers(report, valve.tips()))
         memory.append(script.rss_mib())
         progress.show(report)
         if pictures:
-            pictures.write(n, report, tips)
-    history = np.array(rows)
+            pictures.write(n, numbers[-1])
+    columns = {name: np.array([step[name] for step in numbers]) for name in numbers[0]}
     if pictures:
-        pictures.close(history)
+        pictures.close(columns)
+    if run.step < steps:
+        return {}
 
-    passes = [report.passes for report in reports]
-    leak = np.array([report.monitors.leak for report in reports if report.monitors])
-    entered = data.inflow(history[:, 0], valve.ramp).sum()
     depth = data.depth if dim == 3 else 1.0
-    errors, qoi = compare(history)
-    inputs = {
-        "dim": dim,
-        "elements": elements,
-        "leaflet_elements": leaflet_elements,
-        "degree": degree,
-        "preset": preset,
-        "steps_per_element": steps_per_element,
-        "dt_factor": factor,
-        "until": until,
-        "mirrored": mirrored,
-        "invariant_metric": invariant_metric,
-        "options": options,
-    }
+    entered = data.inflow(columns["t"], valve.ramp).sum()
+    errors, qoi = compare(columns)
     summary = script.write_summary(
         out,
         "valve_2d",
-        inputs,
+        {**inputs, "until": until},
         errors=errors or None,
         qoi=qoi,
         steps=steps,
-        block_iterations_mean=float(np.mean(passes)),
-        block_iterations_max=max(passes),
-        linear_iterations_mean=float(np.mean([report.linear_iterations for report in reports])),
+        block_iterations_mean=float(columns["passes"].mean()),
+        block_iterations_max=int(columns["passes"].max()),
+        linear_iterations_mean=float(columns["linear_iterations"].mean()),
         dofs_fluid=valve.flow.unknowns,
-        dofs_shell=valve.fsi.spline_sh.geometry.n * dim,
+        dofs_shell=fsi.spline_sh.geometry.n * dim,
         wall_s=watch.wall_s,
         cpu_s=watch.cpu_s,
-        rss_mib_step_10=memory[min(9, len(memory) - 1)],
-        rss_mib_end=memory[-1],
+        rss_mib_step_10=memory[min(9, len(memory) - 1)] if memory else None,
+        rss_mib_end=memory[-1] if memory else None,
         monitors={
-            "leak_max": float(np.abs(leak).max()) / depth,
-            "leaked_share": float(np.abs(leak).sum() / depth / entered),
-            "asymmetry_max": float(np.abs(history[:, 2] - history[:, 1]).max()),
-            "normal_slip_max": max(report.monitors.normal_slip_max for report in reports if report.monitors),
-            "slip_ratio_max": max(report.slip_ratio for report in reports),
-            "force_imbalance_max": max(report.monitors.force_imbalance for report in reports if report.monitors),
+            "leak_max": float(np.abs(columns["leak"]).max()) / depth,
+            "leaked_share": float(np.abs(columns["leak"]).sum() / depth / entered),
+            "asymmetry_max": float(np.abs(columns["top_x"] - columns["bottom_x"]).max()),
+            **{f"{name}_max": columns[name].max() for name in ("normal_slip", "slip_ratio", "force_imbalance")},
         },
     )
     if MPI.COMM_WORLD.rank == 0:
-        head = f"{valve.flow.unknowns} fluid unknowns, preset {preset}, {steps} steps to t = {history[-1, 0]:g}"
-        print(f"{head}, {watch.cpu_s:.4g} CPU s, {np.mean(passes):.2f} passes each")
+        head = f"{valve.flow.unknowns} fluid unknowns, preset {preset}, {steps} steps to t = {columns['t'][-1]:g}"
+        print(f"{head}, {watch.cpu_s:.4g} CPU s, {summary['block_iterations_mean']:.2f} passes each")
         shown = [(name, q.value, "-" if q.published is None else q.published) for name, q in qoi.items()]
         print(script.table(["quantity", "value", f"published (doi:{DOI})"], shown))
     return summary
 
 
+def options_of(preset: str) -> CouplingOptions:
+    """Options of the coupling by the name of a preset; the reference has the tolerance of the published run."""
+    return replace(CouplingOptions.reference(), block_rtol=1e-2) if preset == "reference" else CouplingOptions()
+
+
+def in_numbers(report: StepReport, tips: FloatArray) -> dict[str, float]:
+    """What summary and history need of a step."""
+    m = report.monitors
+    return {
+        "t": report.t,
+        "passes": report.passes,
+        "linear_iterations": report.linear_iterations,
+        **{f"{side}_{x}": float(tips[i, j]) for i, side in enumerate(SIDES) for j, x in enumerate("xy")},
+        "leak": m.leak,
+        "normal_slip": m.normal_slip_max,
+        "force_imbalance": m.force_imbalance,
+        "slip_ratio": report.slip_ratio,
+    }
+
+
 class Pictures:
     """ParaView files and histories of the run, and a picture at its end."""
 
-    def __init__(self, out: Path, valve: Valve, steps: int, frames: int = 60) -> None:
-        self._out, self._valve, self._every = out, valve, max(1, steps // frames)
+    def __init__(self, out: Path, valve: Valve, run: Restart, every: int) -> None:
+        self._out, self._valve, self._every = out, valve, every
         w, time, d = valve.flow.w, valve.fsi.timeInt_sh, valve.fsi.mesh_f.geometry.dim
         self._vorticity: NodalField = vorticity(valve.flow)
         self._energies = valve.energies()
         curl = self._vorticity.field, tuple(range(1 if d == 2 else 3))
         fields = {"velocity": (w, tuple(range(d))), "pressure": (w, (d,)), "vorticity": curl}
-        self._fluid = XDMFSeries(out / "fluid.xdmf", valve.fsi.mesh_f, **fields)
+        self._fluid = XDMFSeries(run.named(out / "fluid.xdmf"), valve.fsi.mesh_f, **fields)
         self._shell = VTUSeries(
-            out / "shell", valve.fsi.spline_sh, y=time.x, velocity=time.xdot_old, multiplier=lambda: valve.fsi.lam
+            out / "shell",
+            valve.fsi.spline_sh,
+            y=time.x,
+            after=run.after,
+            velocity=time.xdot_old,
+            multiplier=lambda: valve.fsi.lam,
         )
-        self._history = CSVSeries(out / "history.csv", COLUMNS)
+        self._history = CSVSeries(out / "history.csv", COLUMNS, after=run.after)
 
-    def write(self, n: int, report: StepReport, tips: FloatArray) -> None:
+    def write(self, n: int, step: dict[str, float]) -> None:
         """Append the present state."""
-        m, inflow = report.monitors, self._valve.data.inflow(np.array(report.t), self._valve.ramp)
-        energies = [value for measured in self._energies for value in measured().values()]
-        if m is not None:
-            places = tips[:, :2].ravel()
-            self._history.write(report.t, report.passes, *places, inflow, m.leak, m.normal_slip_rms, *energies)
+        found = step | {"inflow": float(self._valve.data.inflow(np.array(step["t"]), self._valve.ramp))}
+        for measured in self._energies:
+            found |= measured()
+        self._history.write(step["t"], *(found[name] for name in COLUMNS))
         if n % self._every == 0:
             self._vorticity()
-            self._fluid.write(report.t)
-            self._shell.write(report.t)
+            self._fluid.write(step["t"])
+            self._shell.write(step["t"])
 
-    def close(self, history: FloatArray) -> None:
+    def close(self, columns: dict[str, FloatArray]) -> None:
         """Finish the files and draw the last state."""
         for series in (self._fluid, self._shell, self._history):
             series.close()
         fields = PlaneField(self._valve.flow.w), PlaneField(self._vorticity())
         if fields[0].is_here:
-            draw(self._out / "valve_2d.png", self._valve, *fields, history)
+            draw(self._out / "valve_2d.png", self._valve, *fields, columns)
 
 
-def draw(path: Path, valve: Valve, flow: PlaneField, curl: PlaneField, history: FloatArray) -> None:
+def draw(path: Path, valve: Valve, flow: PlaneField, curl: PlaneField, columns: dict[str, FloatArray]) -> None:
     """Speed, vorticity and leaflets, and the histories of both tips with the published peaks and troughs."""
     import matplotlib
 
@@ -492,14 +467,15 @@ def draw(path: Path, valve: Valve, flow: PlaneField, curl: PlaneField, history: 
         for nodes in leaflets:
             nodes = nodes[np.argsort(X[nodes, 1])]
             axis.plot(*(X + y)[nodes, :2].T, "k-", linewidth=2.0)
-    axes[0].set_title(f"t = {history[-1, 0]:.3g}")
-    axes[2].plot(history[:, 0], history[:, 2], "C3", label="top leaflet")
-    axes[2].plot(history[:, 0], history[:, 1], "C0--", label="bottom leaflet, mirrored")
+    t = columns["t"]
+    axes[0].set_title(f"t = {t[-1]:.3g}")
+    axes[2].plot(t, columns["top_x"], "C3", label="top leaflet")
+    axes[2].plot(t, columns["bottom_x"], "C0--", label="bottom leaflet")
     axes[2].errorbar(*zip(*PEAKS, strict=True), xerr=0.04, yerr=0.005, fmt="k.", label="published peaks")
     for n, trough in enumerate(TROUGHS):
         label = None if n else "published troughs"
         axes[2].hlines(trough, n + 0.6, n + 1.0, colors="k", linestyles=":", label=label)
-    axes[2].set(xlabel="$t$", ylabel="displacement of the tip along the channel", xlim=(0.0, history[-1, 0]))
+    axes[2].set(xlabel="$t$", ylabel="displacement of the tip along the channel", xlim=(0.0, t[-1]))
     axes[2].legend()
     figure.savefig(path, dpi=130)
     plt.close(figure)

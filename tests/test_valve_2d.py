@@ -5,11 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from load import load_demo
 
 from coudalfish import CouplingOptions
 from tigar_x import compat, script
 from tigar_x.linear import direct
+from varmint.mesh import box
+from varmint.mesh_arrays import mirrored_box
 
 DEMO = load_demo("valve_2d")
 DATA = DEMO.Data()
@@ -67,7 +70,7 @@ def test_leaflets_are_held_at_the_walls(which, request):
 
 def test_mirrored_cells_give_mirrored_leaflets():
     """On a mesh that is its own mirror image, with a metric that does not see the numbering of vertices."""
-    found = run(is_mirrored=True, invariant_metric=True)
+    found = run(mirrored=True, invariant_metric=True)
     assert asymmetry(found.tips) < 1e-6
     assert np.abs(found.tips[-1, :, 0]).min() > 0.4
 
@@ -78,23 +81,38 @@ def test_otherwise_they_mirror_each_other_roughly(options):
     assert 1e-4 < asymmetry(found.tips) < 0.1
 
 
-@pytest.mark.parametrize(("d", "cells"), [(2, 2 * 20 * 4), (3, 6 * 20 * 4)])
-def test_mirrored_mesh_is_its_own_image(d, cells):
-    mesh = DEMO.mirrored(DATA, (20, 4, 1)[:d])
-    assert set(mesh.facet_names) == {"left", "right", "bottom", "top", "back", "front"} - (
-        {"back", "front"} if d == 2 else set()
-    )
+@pytest.mark.parametrize(("d", "cells"), [(2, 2 * 10 * 4), (3, 6 * 10 * 4)])
+def test_mirrored_box_is_its_own_image(d, cells):
+    size = (8.0, 1.61, 1.0)[:d]
+    mesh = mirrored_box(MPI.COMM_SELF, (0.0,) * d, size, (10, 4, 1)[:d])
+    assert mesh.facet_names == ("left", "right", "bottom", "top", "back", "front")[: 2 * d]
     x = compat.cell_vertices(mesh.domain)
     assert len(x) == cells
-    volumes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1]))
-    assert volumes == pytest.approx(np.full(cells, volumes[0]))
-    assert volumes.sum() / (2 if d == 2 else 6) == pytest.approx(DATA.length * DATA.height)
-    image = x.copy()
-    image[..., 1] = DATA.height - image[..., 1]
+    volumes = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / (2 if d == 2 else 6)
+    assert volumes == pytest.approx(np.full(cells, np.prod(size) / cells))
+    image, other = x.copy(), x.copy()
+    image[..., 1] = size[1] - image[..., 1]
+    other[..., 0] = size[0] - other[..., 0]
     assert shapes_of(image) == shapes_of(x)
-    shifted = x.copy()
-    shifted[..., 0] = DATA.length - shifted[..., 0]
-    assert shapes_of(shifted) != shapes_of(x)
+    assert shapes_of(other) != shapes_of(x)
+    lower = box(MPI.COMM_SELF, (0.0,) * d, size, (10, 4, 1)[:d]).domain
+    halves = [shapes_of(y[(y[..., 1] < 0.81).all(axis=1)]) for y in (x, compat.cell_vertices(lower))]
+    assert halves[0] == halves[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((0.0, 0.0), (1.0, 1.0), (4, 3)), r"elements\[1\] = 3: an even number"),
+        (((0.0, 0.0), (1.0, 1.0), (0, 4)), r"elements\[0\] = 0"),
+        (((0.0, 0.0), (1.0, 1.0), (4,)), "one number for each of the 2 axes"),
+        (((0.0, 0.0), (1.0, 0.0), (4, 4)), "coordinates > lower"),
+        (((0.0,), (1.0,), (4,)), "dimension of lower"),
+    ],
+)
+def test_mirrored_box_refuses(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        mirrored_box(MPI.COMM_SELF, *arguments)
 
 
 def shapes_of(x):
@@ -142,6 +160,19 @@ def test_energies_in_the_history(tmp_path):
     assert (elastic < 10.0 * bent).all()
 
 
+def test_a_run_that_goes_on_is_the_one_that_never_ended(tmp_path):
+    """Checkpoints hold the whole state and the history; the rows of the file are the same."""
+    whole = DEMO.main(**DEMO.TOY, out=tmp_path / "whole", viz=True)
+    assert whole["steps"] == 6
+    DEMO.main(**(DEMO.TOY | {"until": 0.11}), out=tmp_path / "ended", viz=True, checkpoint_every=4)
+    resumed = DEMO.main(**DEMO.TOY, out=tmp_path / "ended", viz=True, restart="latest")
+    assert resumed["steps"] == 6
+    assert resumed["qoi"]["top_end"]["value"] == pytest.approx(whole["qoi"]["top_end"]["value"], abs=1e-10)
+    assert resumed["monitors"]["leaked_share"] == pytest.approx(whole["monitors"]["leaked_share"], rel=1e-9)
+    rows = [np.loadtxt(tmp_path / name / "history.csv", delimiter=",", skiprows=1) for name in ("whole", "ended")]
+    assert rows[1] == pytest.approx(rows[0], rel=1e-8, abs=1e-10)
+
+
 def test_extrema_of_a_known_curve():
     t = np.linspace(0.0, 3.0, 400)[1:]
     x = 0.45 + 0.13 * np.cos(2 * np.pi * (t - 0.27))
@@ -175,7 +206,7 @@ def test_bad_input_is_named_before_computing(option, value, message, tmp_path):
 
 
 def test_an_odd_number_of_cells_has_no_mirrored_mesh(tmp_path):
-    with pytest.raises(ValueError, match="elements = 7: an even number is required"):
+    with pytest.raises(ValueError, match=r"elements\[1\] = 7: an even number is required"):
         DEMO.main(elements=7, mirrored=True, out=tmp_path)
 
 

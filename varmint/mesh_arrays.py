@@ -1,6 +1,7 @@
 """Meshes from arrays with named groups of facets and cells, distributed over the ranks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
 from tigar_x.output import on_root
-from varmint.mesh import NamedMesh, tagged
+from varmint.mesh import SIDES, NamedMesh, named, tagged
 from varmint.mesh_checks import DIMENSIONS, VERTICES, MeshArrays, checked_arrays, number_rows
 
 
@@ -42,6 +43,54 @@ def from_arrays(
         ValueError: on all ranks: see :func:`varmint.mesh_checks.checked_arrays`.
     """
     return distributed(comm, lambda: MeshArrays(cell, cells, x, facets or {}, cell_groups or {}))
+
+
+def mirrored_box(
+    comm: MPI.Comm, lower: ArrayLike, upper: ArrayLike, elements: Sequence[int], *, axis: int = 1
+) -> NamedMesh:
+    """Rectangle or box of simplices of equal size whose halves mirror each other.
+
+    The lower half is cut as :func:`varmint.mesh.box` cuts it, and so are the numbers of a cell's vertices mirrored.
+
+    Args:
+        comm: communicator.
+        lower: corner with the least coordinates, shape (d,), d = 2 or 3; unit: length.
+        upper: opposite corner, same shape.
+        elements: numbers of intervals along the axes, an even one along ``axis``.
+        axis: to which the halves are opposite.
+
+    Returns:
+        The mesh; its sides have the names of :func:`varmint.mesh.box`.
+
+    Raises:
+        ValueError: another dimension, a corner that is not above the lower one, numbers of intervals that are not
+            positive, or an odd one along the axis.
+    """
+    d = checks.choice("dimension of lower", np.size(lower), (2, 3))
+    low, high = checks.array("lower", lower, (d,)), checks.array("upper", upper, (d,))
+    if not (low < high).all():
+        raise ValueError(f"upper = {upper!r}: coordinates > lower = {lower!r} are required")
+    if np.shape(elements) != (d,):
+        raise ValueError(f"elements = {elements!r}: one number for each of the {d} axes is required")
+    counts = tuple(checks.whole(f"elements[{i}]", n, 1) for i, n in enumerate(elements))
+    if counts[checks.choice("axis", axis, tuple(range(d)))] % 2:
+        raise ValueError(f"elements[{axis}] = {counts[axis]}: an even number is required")
+
+    def make() -> MeshArrays:
+        places = np.indices(counts).reshape(d, -1).T
+        edges = [np.eye(d, dtype=int)[list(order)].cumsum(axis=0) for order in permutations(range(d))]
+        paths = np.pad(edges, ((0, 0), (1, 0), (0, 0)))  # a simplex has the vertices of a way from corner to corner
+        vertices = places[:, None, None] + paths
+        above = places[:, axis] >= counts[axis] // 2
+        vertices[above, ..., axis] = places[above, None, None, axis] + 1 - paths[..., axis]
+        cells = np.ravel_multi_index(tuple(np.moveaxis(vertices, -1, 0)), [n + 1 for n in counts]).reshape(-1, d + 1)
+        lines = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
+        x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, d)
+        return MeshArrays("triangle" if d == 2 else "tetrahedron", cells, x)
+
+    ends = [(i, name, x[i]) for i in range(d) for name, x in zip(SIDES[i], (low, high), strict=True)]
+    sides: dict[str, Any] = {name: lambda x, i=i, end=end: x[i] == end for i, name, end in ends}
+    return named(distributed(comm, make).domain, **sides)
 
 
 def checked(domain: mesh.Mesh) -> mesh.Mesh:
