@@ -293,11 +293,11 @@ def key(study: str, case: Case) -> str:
 
 
 def run_all(studies: dict[str, list[Case]], folder: Path, speed: float) -> dict[str, dict[str, Any]]:
-    """Results of all runs, of those that are not in the folder in processes of their own, small meshes first."""
+    """Results of all runs; those that are not in the folder are made, each in its own process, the finest one first."""
     folder.mkdir(parents=True, exist_ok=True)
     every = {key(study, case): case for study, cases in studies.items() for case in cases}
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
-        for name, case in sorted(every.items(), key=lambda item: item[1].cost):
+        for name, case in sorted(every.items(), key=lambda item: (not item[0].startswith("finest"), item[1].cost)):
             file = folder / f"{name}.json"
             if not file.exists():
                 result = pool.apply(measure, (case,))

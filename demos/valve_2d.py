@@ -286,7 +286,7 @@ def main(
     steps_per_element: int = 32,
     dt_factor: float = 1.0,
     until: float = 3.0,
-    mirrored: bool = False,
+    mirrored: bool | None = None,
     invariant_metric: bool = False,
     out: Path = Path("results/valve_2d"),
     viz: bool = True,
@@ -304,7 +304,8 @@ def main(
         steps_per_element: the published time step is 3 over this times the elements.
         dt_factor: time step relative to the published one.
         until: end.
-        mirrored: whether the cells above the channel's axis mirror those below, which needs an even number of elements.
+        mirrored: whether the cells above the channel's axis mirror those below, for an even number of elements;
+            default: with the default preset, where the number is even; the published mesh is not mirrored.
         invariant_metric: whether the stabilisation's element metric does not depend on the numbering of vertices.
         out: folder of the results.
         viz: whether to write ParaView files, the history and a picture.
@@ -321,7 +322,7 @@ def main(
     discretisation = {
         "leaflet_elements": checks.whole("leaflet_elements", leaflet_elements, 2),
         "degree": checks.whole("degree", degree, 2),
-        "mirrored": mirrored,
+        "mirrored": preset == "default" and elements % 2 == 0 if mirrored is None else mirrored,
         "invariant_metric": invariant_metric,
     }
     options = options_of(preset)
