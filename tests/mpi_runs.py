@@ -13,10 +13,15 @@ from on_disk import ROOT
 MPIRUN = shutil.which("mpirun", path=str(Path(sys.executable).parent)) or shutil.which("mpirun")
 
 
+def outside():
+    """The environment of a process that belongs to no MPI run."""
+    mine = ("OMPI_", "PMIX_", "PMI_", "OPAL_")
+    return {key: value for key, value in os.environ.items() if not key.startswith(mine)} | {"OMP_NUM_THREADS": "1"}
+
+
 def mpirun(ranks, *arguments):
     """Run this interpreter with arguments on a number of ranks; the finished process with its output."""
-    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
-    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
+    env = outside() | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     oversubscribe = ["--oversubscribe"] if "Open MPI" in MPI.Get_library_version() else []
     command = [MPIRUN, "-n", str(ranks), *oversubscribe, sys.executable, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT, timeout=2400)

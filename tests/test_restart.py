@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ import restarted
 import test_moving_coupler as moving
 from mpi4py import MPI
 from load import load_demo
-from mpi_runs import MPIRUN, mpirun
+from mpi_runs import MPIRUN, mpirun, outside
 from on_disk import ROOT
 from test_coupled_contact import approaching
 
@@ -93,8 +94,8 @@ def forget(name):
     """Set one part of the state back to what it was before the first step."""
 
     def change(fsi):
-        if name in ("lam", "floors"):
-            setattr(fsi, name, 0.0 * fsi.lam if name == "lam" else None)
+        if name == "lam":
+            fsi.lam = 0.0 * fsi.lam
             return
         side, field = name.split(".")
         integrator = getattr(fsi, side).timeInt
@@ -278,6 +279,7 @@ def test_a_demo_that_is_told_to_end_goes_on(tmp_path, monkeypatch):
 
 # -- runs that are killed or told to end ------------------------------------------------------------------------------
 
+LONG = 2000
 SCRIPT = ROOT / "tests" / "restarted.py"
 ALONE = pytest.mark.skipif(WORLD.size > 1, reason="starts runs of its own")
 
@@ -300,13 +302,16 @@ def uninterrupted(tmp_path_factory):
     return history(folder)
 
 
-def started(folder, steps, *arguments, **options):
-    """The run as a process of its own; its environment is that of one rank."""
-    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_"))}
+@contextmanager
+def started(folder, steps, *arguments):
+    """The run as a process of its own, which is dead at the end."""
     command = [sys.executable, SCRIPT, folder, str(steps), *arguments]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env, cwd=ROOT / "tests", **options
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes, env=outside(), cwd=ROOT / "tests") as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def after_step(process, number):
@@ -323,7 +328,7 @@ def test_a_run_that_is_killed_goes_on(seed, tmp_path, uninterrupted):
     """At a random step, at a random moment: in a step, in a checkpoint or between them."""
     rng = np.random.default_rng(seed)
     step, delay = int(rng.integers(1, 6)), float(rng.uniform(0.0, 0.03))
-    with started(tmp_path, 10**6) as process:
+    with started(tmp_path, LONG) as process:
         after_step(process, step)
         time.sleep(delay)
         process.kill()
@@ -331,7 +336,7 @@ def test_a_run_that_is_killed_goes_on(seed, tmp_path, uninterrupted):
     done = len(history(tmp_path))
     print(f"killed {delay:.3f} s after step {step}; {done} steps are in the history")
     with started(tmp_path, 8 if done < 8 else done + 1, "latest") as process:
-        _, errors = process.communicate()
+        _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert "going on after step" in errors
     assert_same_history(tmp_path, uninterrupted, 1e-10)
@@ -356,7 +361,8 @@ def half(file_descriptor, sync=os.fsync):
 os.fsync = half
 restarted.main(Path({str(tmp_path)!r}), 8)
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT / "tests", capture_output=True, text=True)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=outside(), cwd=ROOT / "tests", capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done.stderr
     left = sorted(path.name for path in (tmp_path / "checkpoints").iterdir())
     assert left == [f"checkpoint_0000000{n}.npz" for n in (1, 2)] + ["checkpoint_00000003.npz.part"]
@@ -368,10 +374,10 @@ restarted.main(Path({str(tmp_path)!r}), 8)
 @ALONE
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_is_told_to_end_writes_a_checkpoint_first(number, tmp_path, uninterrupted):
-    with started(tmp_path, 10**6) as process:
+    with started(tmp_path, LONG) as process:
         after_step(process, 2)
         process.send_signal(number)
-        _, errors = process.communicate()
+        _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     done = len(history(tmp_path))
     last = tmp_path / "checkpoints" / f"checkpoint_{done:08d}.npz"

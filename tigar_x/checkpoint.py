@@ -20,7 +20,7 @@ from dolfinx import fem
 from tigar_x import checks
 from tigar_x.nodal import Layout, difference, fingerprint
 from tigar_x.output import on_root, replace_bytes
-from tigar_x.script import plain, versions
+from tigar_x.script import plain
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +42,6 @@ class Checkpoint:
         path: its file.
         number: under which it was written.
         record: what the run added, as JSON gives it back.
-        versions: of the libraries that wrote it.
         fields: by name, where in the file its nodes are.
         arrays: what is in the file, on rank 0; nothing on the others.
     """
@@ -50,7 +49,6 @@ class Checkpoint:
     path: Path
     number: int
     record: dict[str, Any]
-    versions: dict[str, str]
     fields: dict[str, int]
     arrays: dict[str, Any]
 
@@ -111,7 +109,6 @@ class Checkpoints:
         head = {
             "format": FORMAT,
             "number": number,
-            "versions": versions(),
             "meshes": self._meshes,
             "fields": self._layout,
             "record": record,
@@ -189,7 +186,7 @@ class Checkpoints:
                 if shape != (nodes.count, dofs.shape[1]):
                     required = f"{(nodes.count, dofs.shape[1])} (nodes, components) are required"
                     raise ValueError(f"{path}: {name} is of another degree or size: {shape} were found, {required}")
-        return Checkpoint(path, head["number"], head["record"], head["versions"], head["fields"], arrays)
+        return Checkpoint(path, head["number"], head["record"], head["fields"], arrays)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Give the fields the values of a checkpoint.

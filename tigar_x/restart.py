@@ -1,5 +1,6 @@
 """Runs of many steps that go on where they ended, were ended or were killed.
 
+```python
 run = Restart(out / "checkpoints", Integrators(flow=flow.time), every=100, inputs=inputs)
 if restart:
     run.read(restart)                               # "latest", a number or a file
@@ -9,6 +10,7 @@ with CSVSeries(out / "history.csv", columns, after=run.after) as history:
         history.write(flow.take_step().t, ...)
 if run.step < steps:                                # told to end; a checkpoint has been written
     return
+```
 """
 
 import json
@@ -24,13 +26,14 @@ from dolfinx import fem
 
 from tigar_x import checks
 from tigar_x.checkpoint import Checkpoints
-from tigar_x.script import Termination, plain
+from tigar_x.script import Termination, plain, versions
 from tigar_x.time_integration import TimeIntegrator
 
 log = logging.getLogger(__name__)
 
 ABSENT = "absent"
 """What a setting is that was not there."""
+KEEPS = "%s goes on with its dt = %g, not %g; assign to change it"
 ENDED = "ended after step %d at t = %.6g, as told; restart = latest goes on from %s"
 REPLACES = (
     "%s has checkpoints up to step %d, which this run replaces with its own; restart = latest would go on from them"
@@ -107,13 +110,7 @@ class Integrators:
         for name, time in self._integrators.items():
             t, dt = record["clocks"][name]
             if not math.isclose(dt, time.step_size):
-                _tell(
-                    logging.WARNING,
-                    "%s goes on with its dt = %g, not %g; assign to change it",
-                    name,
-                    dt,
-                    time.step_size,
-                )
+                _tell(logging.WARNING, KEEPS, name, dt, time.step_size)
             time.resume(t, dt)
 
 
@@ -125,7 +122,8 @@ class Restart:
         state: of the run.
         every: number of steps between checkpoints; 0: none, but where the run is told to end.
         keep: number of checkpoints to keep.
-        inputs: the script's parameters, as JSON; where a run goes on with others, a warning names them.
+        inputs: the script's parameters, as JSON; where a run goes on with others, a warning names them, as it does
+            other settings of the state and other versions of the libraries.
 
     Attributes:
         step: number of the last accepted step.
@@ -159,7 +157,7 @@ class Restart:
 
     @property
     def _settings(self) -> dict[str, Any]:
-        return {"inputs": self.inputs, **plain(dict(self.state.settings))}
+        return {"inputs": self.inputs, "versions": versions(), **plain(dict(self.state.settings))}
 
     def write(self) -> Path:
         """Write a checkpoint of the present step.
