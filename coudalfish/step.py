@@ -72,6 +72,9 @@ class Step:
         self._predict()
         self._place()
         self._iterate()
+        if self.fluid.moving is not None:
+            self.block = "mesh"
+            self.fluid.moving.check()  # a solid in the flow has moved it in every pass
         return self._finish()
 
     def _predict(self) -> None:

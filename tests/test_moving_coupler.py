@@ -12,6 +12,7 @@ from dolfinx import fem
 from flows import moved_to
 from mpi_runs import MPIRUN, mpirun
 from scenes import free_sheet, sheet_in_flow
+from test_solids import beam_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepError, SurfaceBand
 from coudalfish.mesh_motion import displacement_of_cells
@@ -168,6 +169,48 @@ def test_points_located_in_the_mesh_at_rest_would_be_noticed(monkeypatch):
     monkeypatch.setattr(PointLocator, "displace", lambda self, u: None)
     wrong, fixed = carried(prescribed(bubble), 12)[1], carried(None, 12)[1]
     assert np.abs(wrong - fixed).max() > 1e-2
+
+
+def test_a_solid_in_the_flow_moves_the_mesh_in_every_pass():
+    """With a sheet that is outside all along, the steps are those that the flow takes by itself."""
+    alone, flow = (beam_flow(0.5, generalized_alpha(0.5), rho=1.0, mu=0.5, rtol=1e-9, pressure="pin") for _ in "ab")
+    fluid = FluidSubproblem(
+        flow.mesh.domain,
+        flow.residual,
+        flow.time,
+        bcs=flow.bcs,
+        updates=flow.updates,
+        before=flow.before,
+        moving=flow.moving,
+        density=1.0,
+        viscosity=0.5,
+    )
+    fsi = CouDALFISh(fluid, free_sheet(dt=0.5, ends=((3.0, 0.0), (3.0, 1.0))).shell, CouplingOptions(block_rtol=1e-8))
+    for _ in range(3):
+        alone.take_step()
+        fsi.takeStep()
+        scale = np.abs(alone.w.x.array).max()
+        np.testing.assert_allclose(flow.w.x.array, alone.w.x.array, atol=1e-5 * scale)
+        u, expected = (f.moving.time.x.x.array for f in (flow, alone))
+        np.testing.assert_allclose(u, expected, atol=1e-5 * np.abs(expected).max())
+    assert np.abs(u).max() > 1e-5
+
+
+def test_the_mesh_is_checked_before_and_after_the_passes(monkeypatch):
+    fsi = scene(prescribed(bubble), sheet_velocity=(0.5, 0.0))
+    before, checks = state(fsi), []
+
+    def check():
+        checks.append(1)
+        if len(checks) % 2 == 0:  # of two attempts
+            raise SolveError("turned inside out by a pass")
+
+    monkeypatch.setattr(fsi.fluid.moving, "check", check)
+    with pytest.raises(StepError, match="mesh block: turned inside out by a pass") as caught:
+        fsi.takeStep()
+    assert caught.value.report.passes > 0
+    for old, new in zip(before, state(fsi), strict=True):
+        np.testing.assert_array_equal(old, new)
 
 
 # -- where points are -------------------------------------------------------------------------------------------------
