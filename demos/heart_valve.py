@@ -34,6 +34,7 @@ from coudalfish import (
     ShellSubproblem,
     StepReport,
     SurfaceBand,
+    advance,
 )
 from coudalfish.restart import CoupledState
 from shnapr.contact import LinearKernel, SelfContact
@@ -65,7 +66,7 @@ BEFORE, BEHIND = (0.0, 0.0, -0.3), (0.0, 0.0, 1.7)
 TENSION = 5e4
 """Membrane force at the end of the pictures' scale of colours."""
 SPACING = 0.75
-"""Distance of the shell's points relative to the range of contact."""
+"""Largest mean distance of the shell's points relative to the range of contact."""
 
 
 @dataclass(frozen=True)
@@ -143,14 +144,12 @@ class Leaflets:
         )
 
     def _contact(self, data: Data) -> SelfContact:
-        quadrature, growth = NodalQuadrature.of(self.spline), 1.0
-        while True:
-            # pressure between two sheets goes with the third power of the range: the surface keeps its stiffness
-            kernel = LinearKernel(growth * data.contact_range, data.contact_stiffness / growth**3)
-            contact = SelfContact(quadrature, kernel, growth * data.contact_self)
-            if contact.spacing_ratio <= SPACING:
-                return contact
-            growth *= 1.02
+        quadrature = NodalQuadrature.of(self.spline)
+        spacing = float(np.sqrt(quadrature.weights.mean()))
+        growth = max(1.0, spacing / (SPACING * data.contact_range))
+        # pressure between two sheets goes with the third power of the range: the surface keeps its stiffness
+        kernel = LinearKernel(growth * data.contact_range, data.contact_stiffness / growth**3)
+        return SelfContact(quadrature, kernel, growth * data.contact_self)
 
     @property
     def positions(self) -> FloatArray:
@@ -488,7 +487,7 @@ def main(
     if restart:
         run.read(restart)
     tally = run.extra
-    for name in ("passes", "most_passes", "linear_iterations", "piercings", "closing_ratio", "wall_s", "cpu_s"):
+    for name in ("cuts", "passes", "most_passes", "linear_iterations", "piercings", "closing_ratio", "wall_s", "cpu_s"):
         tally.setdefault(name, 0)
     spent = tally["wall_s"], tally["cpu_s"]
     every = max(1, steps // frames) if checks.whole("frames", frames, 0) else 0
@@ -498,12 +497,14 @@ def main(
     with CSVSeries(out / "history.csv", COLUMNS, after=run.after) as history:
         for n in run.steps(progress):
             with watch:
-                report = fsi.takeStep()
+                reports = advance(fsi, dt)
+            report = reports[-1]
             history.write(report.t, *observe(report))
-            tally["passes"] += report.passes
-            tally["most_passes"] = max(report.passes, tally["most_passes"])
-            tally["linear_iterations"] += report.linear_iterations
-            tally["closing_ratio"] = max(report.contact.closing_ratio, tally["closing_ratio"])
+            tally["cuts"] += len(reports) - 1
+            tally["passes"] += sum(r.passes for r in reports)
+            tally["most_passes"] = max(tally["most_passes"], *(r.passes for r in reports))
+            tally["linear_iterations"] += sum(r.linear_iterations for r in reports)
+            tally["closing_ratio"] = max(tally["closing_ratio"], *(r.contact.closing_ratio for r in reports))
             tally["wall_s"], tally["cpu_s"] = spent[0] + watch.wall_s, spent[1] + watch.cpu_s
             memory.append(script.rss_mib())
             progress.show(report)
@@ -538,6 +539,7 @@ def main(
         rss_mib_step_10=memory[min(9, len(memory) - 1)] if memory else None,
         rss_mib_end=memory[-1] if memory else None,
         monitors={
+            "cut_steps": tally["cuts"],
             "piercings": tally["piercings"],
             "closing_ratio_max": tally["closing_ratio"],
             "range_of_contact": leaflets.contact.kernel.r_max,

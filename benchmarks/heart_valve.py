@@ -1,0 +1,140 @@
+"""What a step of the heart valve costs: against the published code, by its parts, by size and by ranks."""
+
+import cProfile
+import csv
+import json
+import logging
+import os
+import pstats
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from breakdown import shares
+from calibrate import calibrate, legacy_speed
+from load import load_demo
+
+from tigar_x import script
+
+HERE = Path(__file__).resolve()
+WARM_UP = 10
+
+
+def legacy() -> dict[str, float]:
+    """Figures of the published code."""
+    with open(HERE.parent / "legacy_valves.csv", newline="") as file:
+        rows = csv.DictReader(line for line in file if not line.startswith("#"))
+        row = next(row for row in rows if row["problem"] == "heart_valve")
+    return {key: float(value) for key, value in row.items() if key != "problem" and value}
+
+
+def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled: bool) -> dict[str, Any]:
+    """Costs of steps of the valve that opens, on the ranks of this run."""
+    demo = load_demo("heart_valve")
+    logging.getLogger().setLevel(logging.ERROR)
+    across = (elements, max(1, round(0.8 * elements))) if elements else None
+    valve = demo.build(demo.Data(), resolution, elements=across, options=demo.options_of(preset))
+    for _ in range(WARM_UP):
+        valve.fsi.takeStep()
+    before, watch = script.rss_mib(), script.Stopwatch()
+    with watch:
+        reports = [valve.fsi.takeStep() for _ in range(steps)]
+    after = script.rss_mib()
+    found = {
+        "preset": preset,
+        "cells": valve.flow.mesh.domain.topology.index_map(3).size_global,
+        "dofs_fluid": valve.flow.unknowns,
+        "nodes_shell": len(valve.leaflets.positions),
+        "passes_mean": sum(report.passes for report in reports) / steps,
+        "linear_iterations_mean": sum(report.linear_iterations for report in reports) / steps,
+        "cpu_s_per_step": watch.cpu_s / steps,
+        "wall_s_per_step": watch.wall_s / steps,
+        "growth_mib_per_step": (after - before) / steps,
+        "peak_rss_mib": script.peak_rss_mib(),
+    }
+    if profiled:
+        profile = cProfile.Profile()
+        profile.enable()
+        for _ in range(min(steps, 20)):
+            valve.fsi.takeStep()
+        profile.disable()
+        found["shares"] = shares(pstats.Stats(profile))
+    return found
+
+
+def run(ranks: int, resolution: int, elements: int, preset: str, steps: int) -> dict[str, Any]:
+    """The same in processes of its own."""
+    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
+    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
+    command = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable, str(HERE), "--worker"]
+    command += ["--resolution", str(resolution), "--leaflet-elements", str(elements), "--presets", preset]
+    done = subprocess.run([*command, "--steps", str(steps)], capture_output=True, text=True, env=env)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr}")
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def main(
+    resolution: int = 20,
+    leaflet_elements: int = 13,
+    presets: str = "reference,default",
+    steps: int = 40,
+    sweep: str = "8,12,16,20,26",
+    ranks: str = "1,2",
+    out: Path = Path("results/benchmarks/heart_valve"),
+    worker: bool = False,
+) -> dict[str, Any]:
+    """Measure steps of the heart valve.
+
+    Args:
+        resolution: of the comparison, cells of the fluid across the aorta.
+        leaflet_elements: of the comparison, from post to post; 0: by resolution.
+        presets: those compared, separated by commas.
+        steps: that are measured.
+        sweep: resolutions of the default preset's sweep, with the leaflets of the comparison; empty: none.
+        ranks: numbers of ranks of the default preset; empty: none.
+        out: folder of the results.
+        worker: measure the first preset on the ranks of this run and print the result.
+
+    Returns:
+        The summary; empty in a worker.
+    """
+    names = presets.split(",")
+    if worker:
+        found = measure(resolution, leaflet_elements, names[0], steps, profiled=False)
+        if MPI.COMM_WORLD.rank == 0:
+            print(json.dumps(found))
+        return {}
+    index, published = legacy_speed(calibrate()), legacy()
+    compared = [measure(resolution, leaflet_elements, name, steps, profiled=True) for name in names]
+    cost = published["cpu_s_per_step"]
+    first = (published["cells"], published["nodes_shell"], published["passes_mean"], "-", cost, cost, "-")
+    rows = [("published code", *first, published["growth_mib_per_step"])]
+    for found in compared:
+        scaled = found["scaled_cpu_s_per_step"] = found["cpu_s_per_step"] * index
+        found["ratio"] = cost / scaled
+        rows.append((found["preset"], found["cells"], found["nodes_shell"], found["passes_mean"],
+                     found["linear_iterations_mean"], found["cpu_s_per_step"], scaled, found["ratio"],
+                     found["growth_mib_per_step"]))  # fmt: skip
+    print(f"speed of this machine by that of the published figures: {index:.3g}")
+    header = ("what", "cells", "points", "passes", "linear", "CPU s/step", "scaled", "ratio", "MiB/step")
+    print(script.table(header, rows))
+    parts = compared[0]["shares"]
+    print(script.table(("part of a step [%]", *names), [(p, *(100 * f["shares"][p] for f in compared)) for p in parts]))
+    sizes = [run(1, int(r), leaflet_elements, "default", steps) for r in sweep.split(",") if r]
+    columns = ("cells", "dofs_fluid", "passes_mean", "linear_iterations_mean", "cpu_s_per_step", "peak_rss_mib")
+    if sizes:
+        print(script.table(columns, [[size[key] for key in columns] for size in sizes]))
+    parallel = {n: run(int(n), resolution, leaflet_elements, "default", steps) for n in ranks.split(",") if n}
+    if parallel:
+        keys = ("wall_s_per_step", "cpu_s_per_step", "passes_mean", "linear_iterations_mean")
+        print(script.table(("ranks", *keys), [(n, *(found[key] for key in keys)) for n, found in parallel.items()]))
+    return script.write_summary(
+        out, "heart_valve", {"steps": steps}, speed=index, compared=compared, sweep=sizes, ranks=parallel
+    )
+
+
+if __name__ == "__main__":
+    script.command_line(main)

@@ -1,0 +1,163 @@
+"""Stiff and extreme cases of the heart valve: what ran, what was refused or cut, what was observed.
+
+A coarse valve opens for a short time and is closed by a reversed pressure; every case changes one number of that scene.
+`tests/test_heart_valve.py` asserts on the first steps of the same cases, the slow tests on the whole.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from load import load_demo
+
+from coudalfish import StepError, advance
+from tigar_x import script
+
+demo = load_demo("heart_valve")
+SHORT = demo.Data(reversal=0.02)
+DT, UNTIL, RESOLUTION, ELEMENTS = 1e-4, 0.05, 10, (10, 8)
+HEADER = (
+    "case",
+    "result",
+    "cut steps",
+    "passes mean/max",
+    "CPU s",
+    "largest opening",
+    "last opening",
+    "smallest distance/range",
+    "piercings",
+    "closing/range",
+    "slip ratio",
+    "message",
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A changed scene: data, and a factor of the time step."""
+
+    data: Any
+    dt_factor: float = 1.0
+
+
+def scaled(name: str, factor: float) -> Case:
+    """One number of the data times a factor."""
+    return Case(replace(SHORT, **{name: factor * getattr(SHORT, name)}))
+
+
+def cases() -> dict[str, Case]:
+    """All cases by name."""
+    found = {"as it is": Case(SHORT)}
+    for factor in (0.1, 10.0, 100.0):
+        found[f"contact stiffness x {factor:g}"] = scaled("contact_stiffness", factor)
+    for factor in (0.1, 10.0, 100.0):
+        found[f"E x {factor:g}"] = scaled("youngs_modulus", factor)
+    found["thickness x 0.5"] = scaled("thickness", 0.5)
+    found["pressure x 10"] = Case(replace(SHORT, systolic=10.0 * SHORT.systolic, diastolic=10.0 * SHORT.diastolic))
+    found["dt x 4"] = Case(SHORT, 4.0)
+    found["massless shell"] = scaled("rho_s", 1e-9)
+    found["mu x 0.01"] = scaled("mu", 0.01)
+    return found
+
+
+@dataclass
+class Outcome:
+    """What a case did; ``valve`` is its last accepted state."""
+
+    valve: Any
+    rows: list[tuple[float, ...]]
+    reports: list[Any]
+    result: str = "ran"
+    message: str = "-"
+    cuts: int = 0
+    piercings: int = 0
+    cpu_s: float = 0.0
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the last accepted state and all that was recorded is finite."""
+        fsi = self.valve.fsi
+        fields = (fsi.timeInt_f.x_old, fsi.timeInt_f.xdot_old, fsi.timeInt_sh.x_old, fsi.timeInt_sh.xdot_old)
+        arrays = [*(f.x.array for f in fields), fsi.lam, np.array(self.rows)]
+        return all(bool(np.isfinite(array).all()) for array in arrays)
+
+    def column(self, name: str) -> Any:
+        """A recorded quantity over time."""
+        return np.array(self.rows)[:, demo.COLUMNS.index(name)]
+
+    def cells(self, name: str) -> list[str]:
+        """A line of the table."""
+        if not self.rows:
+            return [name, self.result, *["-"] * (len(HEADER) - 3), self.message]
+        passes = [report.passes for report in self.reports]
+        contact = [report.contact for report in self.reports]
+        r_max = self.valve.leaflets.contact.kernel.r_max
+        numbers = (
+            self.column("opening_area").max(),
+            self.column("opening_area")[-1],
+            self.column("smallest_distance").min() / r_max,
+            self.piercings,
+            max(c.closing_ratio for c in contact),
+            max(report.slip_ratio for report in self.reports),
+        )
+        shown = (f"{number:.3g}" for number in numbers)
+        return [name, self.result, str(self.cuts), f"{np.mean(passes):.1f}/{max(passes)}", f"{self.cpu_s:.0f}",
+                *shown, self.message]  # fmt: skip
+
+
+def run(
+    case: Case, *, until: float = UNTIL, resolution: int = RESOLUTION, each: Callable[[], None] | None = None
+) -> Outcome:
+    """Run a case until it ends or a step fails for good; every tenth step is looked at for leaflets that cross."""
+    dt = case.dt_factor * DT
+    valve = demo.build(case.data, resolution, elements=ELEMENTS, dt=dt, options=demo.options_of("default"))
+    observe, outcome, watch = demo.Observer(valve), Outcome(valve, [], []), script.Stopwatch()
+    for n in range(1, round(until / dt) + 1):
+        try:
+            with watch:
+                reports = advance(valve.fsi, dt, halvings=4)
+        except StepError as error:
+            outcome.result, outcome.message = f"stopped at t = {valve.fsi.timeInt_f.time:.4g}", str(error)
+            break
+        outcome.reports += reports
+        outcome.cuts += len(reports) - 1
+        outcome.rows.append(observe(reports[-1]))
+        if n % 10 == 0:
+            outcome.piercings = max(outcome.piercings, valve.leaflets.piercings())
+        if each is not None:
+            each()
+    outcome.cpu_s = watch.cpu_s
+    return outcome
+
+
+def main(only: str = "", until: float = UNTIL, out: Path = Path("results/benchmarks/valve_extremes")) -> dict[str, Any]:
+    """Run the stiff and extreme cases of the heart valve and print a table.
+
+    Args:
+        only: a part of the names of the cases to run; empty: all.
+        until: end of every run.
+        out: folder of the results.
+
+    Returns:
+        The summary.
+    """
+    script.set_up_logging(logging.ERROR)
+    rows = []
+    for name, case in cases().items():
+        if only in name:
+            outcome = run(case, until=until)
+            rows.append([*outcome.cells(name), "finite" if outcome.is_finite else "NOT FINITE"])
+            print(" | ".join(rows[-1]), flush=True)
+    lines = [HEADER, ["---"] * len(HEADER), *(row[:-1] for row in rows)]
+    table = "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "valve_extremes.md").write_text(table + "\n")
+    finite = all(row[-1] == "finite" for row in rows)
+    return script.write_summary(out, "valve_extremes", {"until": until}, rows=rows, all_finite=bool(finite))
+
+
+if __name__ == "__main__":
+    script.command_line(main)
