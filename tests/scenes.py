@@ -53,7 +53,7 @@ def sheet_in_flow(
     weights=None,
     contact=None,
 ):
-    """A free elastic sheet, or several, in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
+    """Free elastic sheets in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
     L = length
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.zeros(2), np.full(2, L)], [n, n], mesh.CellType.triangle)
     V = compat.mixed_space(domain, (2, 2), (1, 1)) if taylor_hood else equal_order_space(domain)

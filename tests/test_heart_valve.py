@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 import ufl
-from load import load_demo
 from mpi4py import MPI
 from dolfinx import fem, mesh
+from load import load_demo
 
 from tigar_x import surfaces
 
