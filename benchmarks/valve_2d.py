@@ -137,14 +137,14 @@ def options_studies(elements: int) -> dict[str, list[Case]]:
 
     d = DEFAULT
     return {
-        "C_1": varied("C_1", (0.5, 1.0, 2.0, 4.0, 8.0), lambda c: replace(d, penalty=PenaltyRule(c, 0.5))),
-        "C_2": varied("C_2", (0.0, 0.1, 0.5, 1.0, 2.0, 4.0), lambda c: replace(d, penalty=PenaltyRule(2.0, c))),
-        "scale_c": varied("scale_c", (1.0, 0.1, 0.02, 0.01, 0.001), lambda s: replace(d, scale_c=s)),
-        "scale_m": varied("scale_m", (1.0, 0.1, 0.01, 0.001, 0.0001), lambda s: replace(d, scale_m=s)),
-        "relaxation": varied("r", (0.0, 1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r)),
-        "block_rtol": varied("block_rtol", (1e-1, 1e-2, 1e-3, 1e-5), lambda r: replace(d, block_rtol=r)),
+        "defaults": cases(default={}),
+        "C_1": varied("C_1", (0.5, 1.0, 4.0, 8.0), lambda c: replace(d, penalty=PenaltyRule(c, 0.5))),
+        "C_2": varied("C_2", (0.0, 0.1, 1.0, 2.0, 4.0), lambda c: replace(d, penalty=PenaltyRule(2.0, c))),
+        "scale_c": varied("scale_c", (1.0, 0.1, 0.01, 0.001), lambda s: replace(d, scale_c=s)),
+        "scale_m": varied("scale_m", (1.0, 0.1, 0.01, 0.0001), lambda s: replace(d, scale_m=s)),
+        "relaxation": varied("r", (1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r)),
+        "block_rtol": varied("block_rtol", (1e-1, 1e-3), lambda r: replace(d, block_rtol=r)),
         "block iteration": [
-            *cases(default={}),
             Case("consistent tangent", elements=elements, options=replace(d, fluid_tangent="consistent")),
             Case("normal of the iterate", elements=elements, options=replace(d, normal="iterate")),
             Case("tangent in every pass", elements=elements, options=replace(d, tangent_update="pass")),
@@ -152,17 +152,16 @@ def options_studies(elements: int) -> dict[str, list[Case]]:
         ],
         "solver": [
             Case("MUMPS", elements=elements, solver=direct()),
-            *(Case(f"ILU(1), rtol {r:g}", elements=elements, solver=gmres_ilu(1, rtol=r)) for r in (1e-4, 1e-6, 1e-8)),
+            *(Case(f"ILU(1), rtol {r:g}", elements=elements, solver=gmres_ilu(1, rtol=r)) for r in (1e-4, 1e-6)),
             Case("ILU(2), rtol 1e-08", elements=elements, solver=gmres_ilu(2)),
         ],
         "discretisation": cases(
-            default={},
             leaflet_elements_8={"leaflet_elements": 8},
             leaflet_elements_32={"leaflet_elements": 32},
             degree_3={"degree": 3},
-            ordinary_mesh={"mirrored": False},
+            published_mesh={"mirrored": False},
             invariant_metric={"invariant_metric": True},
-            ordinary_mesh_and_invariant_metric={"mirrored": False, "invariant_metric": True},
+            published_mesh_and_invariant_metric={"mirrored": False, "invariant_metric": True},
             rho_infinity_0_5={"rho_infinity": 0.5},
         ),
     }
@@ -175,8 +174,7 @@ def mesh_study(dim: int, elements: Iterable[int]) -> list[Case]:
         cases.append(Case(f"{dim}D reference, {n}", dim, n, REFERENCE, mirrored=False))
         cases.append(Case(f"{dim}D default, {n}", dim, n))
         if dim == 2:
-            cases.append(Case(f"{dim}D default, ordinary mesh, {n}", dim, n, mirrored=False))
-            cases.append(Case(f"{dim}D reference, mirrored mesh, {n}", dim, n, REFERENCE))
+            cases.append(Case(f"{dim}D default, published mesh, {n}", dim, n, mirrored=False))
     return cases
 
 
@@ -184,8 +182,8 @@ def step_study(elements: int, factors: Iterable[float]) -> list[Case]:
     """Presets with several time steps."""
     presets = (("default", DEFAULT, True), ("reference", REFERENCE, False))
     return [
-        Case(f"{name}, {elements}, dt x {factor:g}", 2, elements, options, is_mirrored, factor)
-        for name, options, is_mirrored in presets
+        Case(f"{name}, {elements}, dt x {factor:g}", 2, elements, options, mirrored, factor)
+        for name, options, mirrored in presets
         for factor in factors
     ]
 

@@ -205,7 +205,7 @@ def build(
         options: of the coupling; None: the defaults.
         leaflet_elements: Bezier elements of each leaflet.
         degree: of the leaflets.
-        mirrored: whether the cells above the channel's axis mirror those below.
+        mirrored: whether the cells below the channel's axis mirror those above.
         invariant_metric: whether the element metric does not depend on the numbering of vertices.
         solver: of the flow; None: by size.
         data: of the problem; None: as published.
@@ -214,7 +214,11 @@ def build(
     n = checks.whole("elements", elements, 1)
     dt = data.T / (32 * n) if dt is None else dt
     lengths = (data.length, data.height, data.depth)[:d]
-    mesh = (mirrored_box if mirrored else box)(MPI.COMM_WORLD, (0.0,) * d, lengths, (5 * n, n, 1)[:d])
+    corners_and_counts = (0.0,) * d, lengths, (5 * n, n, 1)[:d]
+    if mirrored:
+        mesh = mirrored_box(MPI.COMM_WORLD, *corners_and_counts, original="upper")
+    else:
+        mesh = box(MPI.COMM_WORLD, *corners_and_counts)
     shell, material = make_leaflets(data, d, leaflet_elements, degree, dt)
     band = SurfaceBand(mesh.domain)
     flow = make_flow(mesh, data, dt, band, FlowOptions(invariant_metric=invariant_metric))
@@ -304,7 +308,7 @@ def main(
         steps_per_element: the published time step is 3 over this times the elements.
         dt_factor: time step relative to the published one.
         until: end.
-        mirrored: whether the cells above the channel's axis mirror those below, for an even number of elements;
+        mirrored: whether the cells below the channel's axis mirror those above, for an even number of elements;
             default: with the default preset, where the number is even; the published mesh is not mirrored.
         invariant_metric: whether the stabilisation's element metric does not depend on the numbering of vertices.
         out: folder of the results.

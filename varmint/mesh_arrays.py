@@ -46,25 +46,30 @@ def from_arrays(
 
 
 def mirrored_box(
-    comm: MPI.Comm, lower: ArrayLike, upper: ArrayLike, elements: Sequence[int], *, axis: int = 1
+    comm: MPI.Comm,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    elements: Sequence[int],
+    *,
+    axis: int = 1,
+    original: str = "lower",
 ) -> NamedMesh:
-    """Rectangle or box of simplices of equal size whose halves mirror each other.
-
-    The lower half is cut as :func:`varmint.mesh.box` cuts it, and so are the numbers of a cell's vertices mirrored.
+    """Rectangle or box of simplices of equal size whose halves mirror each other, as do the numbers of vertices.
 
     Args:
         comm: communicator.
         lower: corner with the least coordinates, shape (d,), d = 2 or 3; unit: length.
         upper: opposite corner, same shape.
         elements: numbers of intervals along the axes, an even one along ``axis``.
-        axis: to which the halves are opposite.
+        axis: normal to the plane between the halves.
+        original: the half that is cut as :func:`varmint.mesh.box` cuts it, "lower" or "upper".
 
     Returns:
         The mesh; its sides have the names of :func:`varmint.mesh.box`.
 
     Raises:
-        ValueError: another dimension, a corner that is not above the lower one, numbers of intervals that are not
-            positive, or an odd one along the axis.
+        ValueError: another dimension, axis or half, a corner that is not above the lower one, numbers of intervals that
+            are not positive, or an odd one along the axis.
     """
     d = checks.choice("dimension of lower", np.size(lower), (2, 3))
     low, high = checks.array("lower", lower, (d,)), checks.array("upper", upper, (d,))
@@ -75,14 +80,15 @@ def mirrored_box(
     counts = tuple(checks.whole(f"elements[{i}]", n, 1) for i, n in enumerate(elements))
     if counts[checks.choice("axis", axis, tuple(range(d)))] % 2:
         raise ValueError(f"elements[{axis}] = {counts[axis]}: an even number is required")
+    is_upper = checks.choice("original", original, ("lower", "upper")) == "upper"
 
     def make() -> MeshArrays:
         places = np.indices(counts).reshape(d, -1).T
         edges = [np.eye(d, dtype=int)[list(order)].cumsum(axis=0) for order in permutations(range(d))]
         paths = np.pad(edges, ((0, 0), (1, 0), (0, 0)))  # a simplex has the vertices of a way from corner to corner
         vertices = places[:, None, None] + paths
-        above = places[:, axis] >= counts[axis] // 2
-        vertices[above, ..., axis] = places[above, None, None, axis] + 1 - paths[..., axis]
+        image = (places[:, axis] < counts[axis] // 2) == is_upper
+        vertices[image, ..., axis] = places[image, None, None, axis] + 1 - paths[..., axis]
         cells = np.ravel_multi_index(tuple(np.moveaxis(vertices, -1, 0)), [n + 1 for n in counts]).reshape(-1, d + 1)
         lines = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
         x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, d)
