@@ -2,9 +2,9 @@
 
 A sheet stands across a duct with slip walls under a steady jump of pressure, see ``stability.duct``. On a sheet that is
 curved or elastic the multiplier has patterns that the fluid's velocities cannot see; the slip that these leave behind
-makes them grow, step by step. Uniform relaxation bounds them and leaks; projected relaxation damps what differs from
-the mean over the points around a vertex of the fluid's mesh. Means over the points in a cell are here for comparison:
-too many patterns are constant in the cells.
+makes them grow, step by step. Uniform relaxation bounds them and leaks; smoothed relaxation damps what differs from the
+mean over the vertices of the fluid's mesh, weighted by their linear functions. Means over the points around a vertex or
+in a cell are here for comparison: too many patterns are constant in the cells.
 """
 
 import logging
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from stability import duct, long_advance, through_duct
 
@@ -32,17 +33,33 @@ HEADER = ("sheet", "relaxation", "r", "pattern", "growth", "leak", "law", "large
 
 
 class ByCell(PointLocator):
-    """Patches are the cells that points lie in, on one rank."""
+    """Means over the points in a cell, on one rank."""
 
-    def nearest_vertices(self, location: Location) -> NDArray[np.int64]:
-        """Cells instead of vertices."""
-        return location.cells.astype(np.int64)
+    def vertex_functions(self, location: Location) -> sp.csr_matrix:
+        """One function for every cell, one in it."""
+        return one_hot(location.cells)
+
+
+class ByVertex(PointLocator):
+    """Means over the points that are nearest to a vertex, on one rank."""
+
+    def vertex_functions(self, location: Location) -> sp.csr_matrix:
+        """One function for every vertex, one at the points that are nearest to it."""
+        functions = super().vertex_functions(location)
+        return one_hot(np.asarray(functions.argmax(axis=1)).ravel())
+
+
+def one_hot(patches: NDArray[np.int32]) -> sp.csr_matrix:
+    """Functions that are one at the points of a patch."""
+    _, patch = np.unique(patches, return_inverse=True)
+    return sp.csr_matrix((np.ones(len(patch)), patch, np.arange(len(patch) + 1)))
 
 
 CHOICES: tuple[tuple[str, float, Callable[[Any], PointLocator] | None], ...] = (
     ("none", 0.0, None),
     *(("uniform", r, None) for r in (1e-5, 1e-3, 1e-2)),
-    *(("projected", r, None) for r in (0.1, 1.0)),
+    *(("smoothed", r, None) for r in (0.1, 1.0)),
+    *(("by vertex", r, ByVertex) for r in (0.1, 1.0)),
     *(("by cell", r, ByCell) for r in (0.1, 1.0)),
 )
 
@@ -67,7 +84,7 @@ def run(
     """
     shape = dict(SHEETS[sheet])
     elements = 2 * n * shape.pop("refined", 1)
-    mode: Any = "projected" if relaxation in ("projected", "by cell") else "uniform"
+    mode: Any = "uniform" if relaxation in ("none", "uniform") else "smoothed"
     options = CouplingOptions(penalty=BETA, relaxation=r, relaxation_mode=mode)
     scene = duct(options, n=n, jump=0.0, elements=elements, **shape)
     fsi, W, (outflow,) = scene.fsi, scene.fsi.shell.quadrature.weights, compat.compile_forms(scene.outflow)

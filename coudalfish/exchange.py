@@ -4,11 +4,11 @@ Source: Kamensky et al., doi:10.1016/j.cma.2014.10.040; Kamensky, doi:10.1016/j.
 along the shell's normal and is a force per reference area: +lam n is what the fluid does to the shell.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from tigar_x.compat import FloatArray
 
@@ -67,22 +67,25 @@ def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, facto
     return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
 
 
-def patch_means(patches: NDArray[np.int64], W: FloatArray) -> sp.csr_matrix:
-    """Projection onto values that are constant per patch, ``sum_patch W x / sum_patch W`` at every point of a patch.
+@dataclass(frozen=True, eq=False)
+class VertexMeans:
+    """Smoothing of values at points over the vertices of the fluid's mesh, ``N (N^T W x / N^T W)``.
 
-    Args:
-        patches: number of the patch of every point, negative for points of none, shape (points,).
-        W: reference areas, shape (points,).
+    It leaves constants as they are, keeps the integral of every x, and is symmetric in the area W.
 
-    Returns:
-        Matrix P, with empty rows at points of no patch or of one without area, shape (points, points).
+    Attributes:
+        N: linear functions of vertices at the points, from :meth:`coudalfish.trace.PointLocator.vertex_functions`.
+        W: reference areas, zero at inactive points, shape (points,).
     """
-    inside = np.flatnonzero(patches >= 0)
-    _, group = np.unique(patches[inside], return_inverse=True)
-    members = sp.csr_matrix((np.ones(len(inside)), (group, inside)), shape=(group.max(initial=-1) + 1, len(patches)))
-    area = members @ W
-    share = np.divide(1.0, area, out=np.zeros_like(area), where=area > 0.0)
-    return (members.T @ sp.diags(share) @ members @ sp.diags(W)).tocsr()
+
+    N: sp.csr_matrix
+    W: FloatArray
+
+    def __matmul__(self, x: FloatArray) -> FloatArray:
+        """Smoothed values, zero at points outside the mesh, shape (points,)."""
+        area = self.N.T @ self.W
+        force = self.N.T @ (self.W * x)
+        return np.asarray(self.N @ np.divide(force, area, out=np.zeros_like(area), where=area > 0.0))
 
 
 def updated_multiplier(
@@ -94,13 +97,13 @@ def updated_multiplier(
     *,
     penalty: float,
     relaxation: float,
-    means: sp.csr_matrix | None = None,
+    means: VertexMeans | None = None,
 ) -> FloatArray:
     """Multiplier of the next step; inactive points keep theirs.
 
     It follows from ``lam* = lam + beta (u - y') . n`` as ``lam*/(1 + r)`` or, with means P, as
-    ``P lam* + (lam* - P lam*)/(1 + r)``. The latter damps variations inside a patch and keeps the force on it, so that
-    no net flow leaks through it (compare Kamensky et al., doi:10.1016/j.camwa.2017.07.006).
+    ``P lam* + (lam* - P lam*)/(1 + r)``. The latter damps what the fluid's mesh cannot resolve and keeps the force, so
+    that there is no net leak (compare the projection of Kamensky et al., doi:10.1016/j.camwa.2017.07.006).
 
     Args:
         lam: multiplier of this step, shape (points,).
@@ -110,7 +113,7 @@ def updated_multiplier(
         active: mask of the points in the fluid, shape (points,).
         penalty: beta.
         relaxation: r >= 0; without means a steady sheet leaks at the speed r lam/beta.
-        means: from :func:`patch_means`; None: all of the multiplier is damped.
+        means: see the text; None: all of the multiplier is damped.
 
     Returns:
         New multiplier, shape (points,).

@@ -42,8 +42,8 @@ class CouplingOptions:
     Attributes:
         penalty: beta as a number (unit: force time/length^3) or a rule.
         relaxation: r >= 0 in the multiplier update; 0 for transients, about 1e-5 for long quasi-steady loading.
-        relaxation_mode: "uniform" damps all of the multiplier by r, "projected" only its difference from its mean over
-            the points that are nearest to one fluid vertex, which lets no net flow through; r may then be 0.1 to 1.
+        relaxation_mode: "uniform" damps all of the multiplier by r, "smoothed" only its difference from its mean over
+            the vertices of the fluid's mesh, which does not leak: r may be 0.1 to 1.
         scale_m: factor of tau_M in the band around the surface, in (0, 1].
         scale_c: divisor of tau_C there, in (0, 1].
         fluid_tangent: penalty tangent of the fluid, "lumped" (its row sums) or "consistent".
@@ -66,7 +66,7 @@ class CouplingOptions:
 
     penalty: float | PenaltyRule = PenaltyRule(2.0, 0.5)
     relaxation: float = 0.0
-    relaxation_mode: Literal["uniform", "projected"] = "uniform"
+    relaxation_mode: Literal["uniform", "smoothed"] = "uniform"
     scale_m: float = 1e-3
     scale_c: float = 0.02
     fluid_tangent: Literal["lumped", "consistent"] = "lumped"
@@ -84,7 +84,7 @@ class CouplingOptions:
         if not isinstance(self.penalty, PenaltyRule):
             checks.positive("penalty", self.penalty)
         checks.not_negative("relaxation", self.relaxation)
-        checks.choice("relaxation_mode", self.relaxation_mode, ("uniform", "projected"))
+        checks.choice("relaxation_mode", self.relaxation_mode, ("uniform", "smoothed"))
         for name in ("scale_m", "scale_c"):
             checks.within(name, checks.positive(name, getattr(self, name)), 0.0, 1.0)
         checks.choice("fluid_tangent", self.fluid_tangent, ("lumped", "consistent"))

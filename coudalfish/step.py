@@ -106,8 +106,8 @@ class Step:
         self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
         self.trace = trace_matrix(self.fluid.velocity_space, location)
         self.means = None
-        if self.options.relaxation_mode == "projected":
-            self.means = exchange.patch_means(self.c.locator.nearest_vertices(location), self.W)
+        if self.options.relaxation_mode == "smoothed":
+            self.means = exchange.VertexMeans(self.c.locator.vertex_functions(location), self.W)
         if self.fluid.band is not None:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()

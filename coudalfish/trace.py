@@ -11,7 +11,6 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 from dolfinx import fem, mesh
-from numpy.typing import NDArray
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
@@ -19,8 +18,6 @@ from tigar_x.linear import SolveError
 
 INSIDE = 1e-10
 """A point is in a cell when no barycentric coordinate is below minus this."""
-TIE = 1e-8
-"""Barycentric coordinates that differ by less are equal."""
 FLAT = 1e-14
 """A cell has no size when its volume is below this times that of a cube over its largest edge, or that at rest."""
 
@@ -169,25 +166,29 @@ class PointLocator:
         barycentric[mine] = self._barycentric(cells[mine], x[mine])
         return Location(cells, barycentric, active)
 
-    def nearest_vertices(self, location: Location) -> NDArray[np.int64]:
-        """Vertices where the barycentric coordinates of points are largest (collective).
+    def vertex_functions(self, location: Location) -> sp.csr_matrix:
+        """Linear functions of the mesh's vertices at points, the same on every rank (collective).
 
         Args:
             location: from :meth:`locate`.
 
         Returns:
-            Their numbers in the arrays that the mesh was made from, whatever the number of ranks, and the smallest of
-            several equally near ones; -1 outside the mesh. Shape (points,).
+            Values, zero at points outside the mesh and summing to one at others, one column for every vertex of a cell
+            in which a point lies, shape (points, columns).
         """
-        mine, nearest = np.flatnonzero(location.owned), np.full(len(location.cells), -1, dtype=np.int64)
+        mine = np.flatnonzero(location.owned)
+        vertices = np.full(location.barycentric.shape, -1, dtype=np.int64)
         _, numbers = compat.input_numbers(self._mesh)
-        candidates = numbers[compat.cell_nodes(self._mesh)[location.cells[mine]]]
-        near = location.barycentric[mine]
-        near = near > near.max(axis=1, keepdims=True, initial=0.0) - TIE
-        nearest[mine] = np.where(near, candidates, np.iinfo(np.int64).max).min(axis=1)
-        found = np.empty_like(nearest)
-        self._comm.Allreduce(nearest, found, op=MPI.MAX)
-        return found
+        vertices[mine] = numbers[compat.cell_nodes(self._mesh)[location.cells[mine]]]
+        values = location.barycentric
+        if self._comm.size > 1:
+            found, total = np.empty_like(vertices), np.empty_like(values)
+            self._comm.Allreduce(vertices, found, op=MPI.MAX)
+            self._comm.Allreduce(values, total, op=MPI.SUM)
+            vertices, values = found, total
+        names, columns = np.unique(vertices, return_inverse=True)
+        starts = np.arange(0, values.size + 1, values.shape[1])
+        return sp.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(values), len(names)))
 
 
 @dataclass(frozen=True, eq=False)

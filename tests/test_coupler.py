@@ -87,11 +87,11 @@ def test_the_way_to_the_solution_does_not_change_it(change):
 
 
 @pytest.mark.mpi
-def test_projected_relaxation_changes_the_multiplier_alone_and_keeps_its_force():
+def test_smoothed_relaxation_changes_the_multiplier_alone_and_keeps_its_force():
     """In one step, whose fields are solved with the multiplier before it; in uniform mode the force shrinks."""
     lams, states = {}, []
     r = 0.5
-    for mode in ("none", "uniform", "projected"):
+    for mode in ("none", "uniform", "smoothed"):
         options = replace(TIGHT, relaxation=0.0 if mode == "none" else r)
         options = options if mode == "none" else replace(options, relaxation_mode=mode)
         scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.0), density_of_points=32, options=options)
@@ -103,8 +103,8 @@ def test_projected_relaxation_changes_the_multiplier_alone_and_keeps_its_force()
         np.testing.assert_allclose(other, states[0], atol=1e-9)
     whole = lams["none"]
     np.testing.assert_allclose(lams["uniform"], whole / (1.0 + r), rtol=1e-12)
-    assert W @ lams["projected"] == pytest.approx(W @ whole, rel=1e-9)
-    assert np.abs(lams["projected"] - whole).max() > 1e-3 * np.abs(whole).max()
+    assert W @ lams["smoothed"] == pytest.approx(W @ whole, rel=1e-9)
+    assert np.abs(lams["smoothed"] - whole).max() > 1e-3 * np.abs(whole).max()
 
 
 def test_published_stopping_costs_a_superfluous_pass():

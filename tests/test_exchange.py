@@ -80,13 +80,23 @@ def test_steady_state_of_the_multiplier_is_a_porous_screen(relaxation):
     np.testing.assert_allclose(lam, expected, rtol=1e-9)
 
 
-# -- projected relaxation ---------------------------------------------------------------------------------------------
+# -- smoothed relaxation ----------------------------------------------------------------------------------------------
 
 ALL, REST = np.ones(POINTS, dtype=bool), np.zeros((POINTS, 2))
 
 
+def one_hot(patches):
+    """Functions that are one at the points of a patch: means over them are a projection."""
+    _, patch = np.unique(patches, return_inverse=True)
+    return sp.csr_matrix((np.ones(len(patch)), patch, np.arange(len(patch) + 1)))
+
+
+def matrix(means):
+    return np.column_stack([means @ column for column in np.eye(len(means.W))])
+
+
 def relaxed(lam, n, W, patches, r, *, active=ALL, u=REST):
-    means = exchange.patch_means(patches, W)
+    means = exchange.VertexMeans(one_hot(patches), W)
     return exchange.updated_multiplier(lam, u, REST, n, active, penalty=BETA, relaxation=r, means=means)
 
 
@@ -95,14 +105,32 @@ def patches():
     return np.array([2, 7, 7, 30, 2, 11]).repeat(5)
 
 
-def test_means_are_a_projection(arrays, patches):
+def test_means_over_patches_are_a_projection(arrays, patches):
     _, _, W, _, _, lam = arrays
-    P = exchange.patch_means(patches, W)
+    P = matrix(exchange.VertexMeans(one_hot(patches), W))
     for patch in np.unique(patches):
         mine = patches == patch
         np.testing.assert_allclose((P @ lam)[mine], np.average(lam[mine], weights=W[mine]), rtol=1e-13)
-    np.testing.assert_allclose((P @ P - P).toarray(), 0.0, atol=1e-15)
-    np.testing.assert_allclose(W @ P.toarray(), W, rtol=1e-13)  # it is orthogonal in the area
+    np.testing.assert_allclose(P @ P, P, atol=1e-15)
+    np.testing.assert_allclose(W @ P, W, rtol=1e-13)  # it is orthogonal in the area
+
+
+def test_means_over_vertices_keep_constants_and_forces_and_damp_the_rest(arrays):
+    """Smoothing is symmetric in the area, with eigenvalues from 0 to 1."""
+    _, _, W, _, _, _ = arrays
+    rng = np.random.default_rng(3)
+    places = np.sort(rng.uniform(0.0, 5.0, POINTS))
+    first, share = places.astype(int), places % 1.0
+    columns, values = np.column_stack([first, first + 1]), np.column_stack([1.0 - share, share])
+    N = sp.csr_matrix((values.ravel(), columns.ravel(), np.arange(0, 2 * POINTS + 1, 2)), shape=(POINTS, 7))
+    P = matrix(exchange.VertexMeans(N, W))  # a vertex without points is no harm
+    np.testing.assert_allclose(P.sum(axis=1), 1.0, rtol=1e-13)
+    np.testing.assert_allclose(W @ P, W, rtol=1e-13)
+    np.testing.assert_allclose(W[:, None] * P, (W[:, None] * P).T, atol=1e-15)
+    values = np.sort(np.linalg.eigvals(P).real)
+    assert values[0] > -1e-12
+    assert values[-1] == pytest.approx(1.0)
+    assert (values > 1e-9).sum() <= 6
 
 
 @pytest.mark.parametrize("r", [0.1, 1.0])

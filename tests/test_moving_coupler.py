@@ -27,7 +27,7 @@ from varmint.motion import ElasticMotion, PrescribedMotion
 
 COMM = MPI.COMM_WORLD
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
-PROJECTED = replace(TIGHT, relaxation=0.5, relaxation_mode="projected")
+SMOOTHED = replace(TIGHT, relaxation=0.5, relaxation_mode="smoothed")
 SIDES = ("left", "right", "bottom", "top")
 DT = 0.1
 
@@ -291,9 +291,9 @@ import json, sys
 sys.path.insert(0, "tests")
 import numpy as np
 from mpi4py import MPI
-from test_moving_coupler import PROJECTED, TIGHT, bubble, elastic, prescribed, scene, stream
+from test_moving_coupler import SMOOTHED, TIGHT, bubble, elastic, prescribed, scene, stream
 figures = []
-for motion, options in ((prescribed(bubble), TIGHT), (elastic, TIGHT), (prescribed(bubble), PROJECTED)):
+for motion, options in ((prescribed(bubble), TIGHT), (elastic, TIGHT), (prescribed(bubble), SMOOTHED)):
     fsi = scene(motion, walls=stream, options=options)
     reports = [fsi.takeStep() for _ in range(3)]
     figures += [fsi.spline_sh.nodal(fsi.y).tolist(), fsi.lam.tolist(), [r.passes for r in reports]]

@@ -91,28 +91,24 @@ def test_moving_points_are_followed():
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
-def test_nearest_vertices(dim):
-    """The same on every rank, by numbers that do not depend on the partition; equally near ones by the smallest."""
+def test_vertex_functions(dim):
+    """The same on every rank, whatever the partition: they are the linear functions of the mesh."""
     domain = make_mesh(dim)
-    grid = np.linspace(0.0, 1.0, 9)  # vertices, and middles of edges between two of them
-    x = np.stack(np.meshgrid(*[grid] * dim), axis=-1).reshape(-1, dim)
-    x = np.concatenate([x, np.random.default_rng(4).uniform(0.0, 1.0, (30, dim)), np.full((1, dim), 1.3)])
+    x = np.random.default_rng(4).uniform(0.0, 1.0, (30, dim))
+    x = np.concatenate([x, np.full((1, dim), 0.25), np.full((1, dim), 1.3)])
     locator = PointLocator(domain)
-    location = locator.locate(x)
-    nearest = locator.nearest_vertices(location)
-    assert (nearest[:-1] >= 0).all()
-    assert nearest[-1] == -1
-    _, numbers = compat.input_numbers(domain)
-    position = {int(i): p for i, p in zip(numbers, domain.geometry.x[:, :dim], strict=True)}
-    position = {i: p for part in COMM.allgather(position) for i, p in part.items()}
-    on_vertex = (np.round(4 * x) == 4 * x).all(axis=1)
-    assert on_vertex.sum() == 5**dim
-    np.testing.assert_allclose([position[i] for i in nearest[on_vertex]], x[on_vertex], atol=1e-12)
-    mine = np.flatnonzero(location.owned)
-    corners = numbers[compat.cell_nodes(domain)[location.cells[mine]]]
-    b = location.barycentric[mine]
-    for i, row, weights in zip(nearest[mine], corners, b, strict=True):
-        assert i == min(row[weights > weights.max() - 1e-8])
+    N = locator.vertex_functions(locator.locate(x))
+    assert N.min() > -1e-9
+    np.testing.assert_allclose(N.sum(axis=1).ravel(), [[1.0] * 31 + [0.0]], atol=1e-12)
+    assert (N[30] > 0.5).nnz == 1  # a point in a vertex
+    same = COMM.allgather(N.toarray())
+    np.testing.assert_allclose(same[0], same[-1], atol=1e-15)
+    # points that share all of their vertices lie in one cell
+    cells = locator.locate(x).cells
+    mine = np.flatnonzero(cells[:30] >= 0)
+    shared = ((abs(N) > 1e-9).astype(float) @ (abs(N) > 1e-9).astype(float).T).toarray()
+    together = cells[mine][:, None] == cells[mine][None, :]
+    np.testing.assert_array_equal(shared[np.ix_(mine, mine)] == dim + 1, together)
 
 
 def test_changed_number_of_points_is_no_error():
