@@ -5,7 +5,6 @@ A coarse valve opens for a short time and is closed by a reversed pressure; ever
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from load import load_demo
 
-from coudalfish import StepError, advance
+from coudalfish import CouplingOptions, StepError, advance
 from tigar_x import script
 
 demo = load_demo("heart_valve")
@@ -109,11 +108,12 @@ class Outcome:
 
 
 def run(
-    case: Case, *, until: float = UNTIL, resolution: int = RESOLUTION, each: Callable[[], None] | None = None
+    case: Case, *, until: float = UNTIL, resolution: int = RESOLUTION, options: CouplingOptions | None = None
 ) -> Outcome:
     """Run a case until it ends or a step fails for good; every tenth step is looked at for leaflets that cross."""
     dt = case.dt_factor * DT
-    valve = demo.build(case.data, resolution, elements=ELEMENTS, dt=dt, options=demo.options_of("default"))
+    chosen = demo.options_of("default") if options is None else options
+    valve = demo.build(case.data, resolution, elements=ELEMENTS, dt=dt, options=chosen)
     observe, outcome, watch = demo.Observer(valve), Outcome(valve, [], []), script.Stopwatch()
     for n in range(1, round(until / dt) + 1):
         try:
@@ -127,8 +127,6 @@ def run(
         outcome.rows.append(observe(reports[-1]))
         if n % 10 == 0:
             outcome.piercings = max(outcome.piercings, valve.leaflets.piercings())
-        if each is not None:
-            each()
     outcome.cpu_s = watch.cpu_s
     return outcome
 

@@ -6,10 +6,12 @@ import math
 import numpy as np
 import pytest
 import ufl
+import valve_extremes
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from load import load_demo
 
+from coudalfish import CouplingOptions
 from tigar_x import surfaces
 
 demo = load_demo("heart_valve")
@@ -155,6 +157,38 @@ def test_variants_run(tmp_path, settings):
 def test_what_is_refused(tmp_path, settings, name):
     with pytest.raises(ValueError, match=name):
         demo.main(out=tmp_path, **settings)
+
+
+CASES = valve_extremes.cases()
+
+
+@pytest.mark.parametrize("name", ["contact stiffness x 100", "E x 100", "E x 0.1", "pressure x 10", "massless shell"])
+def test_extreme_cases_begin(name):
+    outcome = valve_extremes.run(CASES[name], until=3e-4, resolution=6)
+    assert outcome.is_finite
+    assert outcome.result == "ran"
+    assert len(outcome.cells(name)) == len(valve_extremes.HEADER)
+
+
+def test_a_case_that_cannot_go_on_says_what_to_change():
+    """A step that is allowed no pass at all fails, whatever it is cut to."""
+    case = CASES["as it is"]
+    outcome = valve_extremes.run(
+        case, until=3e-4, resolution=6, options=CouplingOptions(max_passes=1, block_rtol=1e-14)
+    )
+    assert outcome.result.startswith("stopped")
+    assert "suspect" in outcome.message
+    assert outcome.valve.fsi.timeInt_f.time == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(CASES))
+def test_extreme_cases_to_the_end(name):
+    """Each runs, or stops and says what to change; nothing that is not finite is accepted; leaflets do not cross."""
+    outcome = valve_extremes.run(CASES[name])
+    assert outcome.is_finite
+    assert outcome.result == "ran" or "suspect" in outcome.message
+    assert outcome.piercings == 0
 
 
 @pytest.mark.slow
