@@ -244,7 +244,7 @@ def default_runs():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("elements", "displacement", "time"), [(16, 0.055, 0.06), (24, 0.03, 0.04), (32, 0.02, 0.04)])
+@pytest.mark.parametrize(("elements", "displacement", "time"), [(16, 0.02, 0.05), (24, 0.02, 0.04), (32, 0.02, 0.04)])
 def test_peaks_and_troughs_are_the_published_ones(elements, displacement, time, default_runs):
     errors = default_runs[elements].errors
     assert len(errors) == 9
