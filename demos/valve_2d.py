@@ -474,7 +474,7 @@ def draw(path: Path, valve: Valve, flow: PlaneField, curl: PlaneField, columns: 
     grid = figure.add_gridspec(3, 1, height_ratios=(1, 1, 1.5))
     axes = [figure.add_subplot(grid[i]) for i in range(3)]
     flow.shade(axes[0], np.linalg.norm(flow.values[:, :2], axis=1), "speed", cmap="viridis")
-    limit = 0.2 * np.abs(curl.values[:, -1]).max()
+    limit = 0.5 * np.abs(curl.values[:, -1]).max()
     curl.shade(axes[1], curl.values[:, -1], "vorticity", cmap="RdBu_r", vmin=-limit, vmax=limit)
     for axis in axes[:2]:
         for nodes in leaflets:

@@ -138,6 +138,18 @@ def test_one_layer_is_per_depth(extruded):
     assert force[0] == pytest.approx(force[1], rel=0.1)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("d", [2, 3])
+def test_every_number_of_ranks_gives_the_same_tips(d, monkeypatch):
+    """With direct solves and tight blocks; what one rank alone computes is the measure."""
+    options = CouplingOptions(block_rtol=1e-11, block_atol=1e-14)
+    parallel = run(d, steps=8, options=options).tips
+    monkeypatch.setattr(DEMO, "MPI", SimpleNamespace(COMM_WORLD=MPI.COMM_SELF, COMM_SELF=MPI.COMM_SELF))
+    alone = run(d, steps=8, options=options).tips
+    assert np.abs(parallel - alone).max() < 1e-8
+    assert np.abs(alone).max() > 0.1
+
+
 def test_memory_is_flat():
     valve, memory = DEMO.build(2, dt=0.01, solver=direct(), **COARSE), []
     for _ in range(120):
