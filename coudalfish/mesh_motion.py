@@ -83,9 +83,13 @@ def check_levels(motion: MeshMotion, timeInt_f: TimeIntegrator) -> None:
 
 
 def displacement_of_cells(motion: MeshMotion) -> FloatArray:
-    """Displacement of the vertices of the cells that this rank owns, shape (cells, vertices, d); unit: length.
+    """Displacement of the vertices of this rank's cells at the intermediate level, where immersed points are.
 
-    It is that at the intermediate level, where forms are evaluated and immersed points are.
+    Args:
+        motion: motion of the mesh.
+
+    Returns:
+        Shape (owned cells, vertices, d); unit: length.
     """
     V = motion.time.x.function_space
     cells = compat.cell_dofs(V)[: compat.owned_cells(V.mesh)]
