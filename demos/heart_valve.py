@@ -62,7 +62,7 @@ from varmint.quantities import Measured, PointValues, flow_rate
 DOI = "10.1016/j.camwa.2020.01.023"
 TOY = {"resolution": 6, "until": 3e-4, "frames": 1}
 BEFORE, BEHIND = (0.0, 0.0, -0.3), (0.0, 0.0, 1.7)
-TENSION = 5e4
+TENSION = 1.5e5
 """Membrane force at the end of the pictures' scale of colours."""
 SPACING = 0.75
 """Largest mean distance of the shell's points relative to the range of contact."""
@@ -633,13 +633,20 @@ def draw_leaflets(path: Path, leaflets: Leaflets, tension: fem.Function, t: floa
 
 
 def animate(out: Path) -> None:
-    """Animation of the pictures of the leaflets."""
+    """Animation of the pictures of the leaflets, and six of them on one sheet."""
     from PIL import Image
 
-    pictures = [Image.open(path).convert("P") for path in sorted((out / "frames").glob("leaflets_*.png"))]
-    if pictures:
-        first, *others = pictures
-        first.save(out / "leaflets.gif", save_all=True, append_images=others, duration=100, loop=0)
+    pictures = [Image.open(path).convert("RGB") for path in sorted((out / "frames").glob("leaflets_*.png"))]
+    if not pictures:
+        return
+    first, *others = [picture.quantize() for picture in pictures]
+    first.save(out / "leaflets.gif", save_all=True, append_images=others, duration=100, loop=0)
+    chosen = [pictures[round(i)] for i in np.linspace(0, len(pictures) - 1, min(6, len(pictures)))]
+    width, height = chosen[0].size
+    sheet = Image.new("RGB", (2 * width, height * -(-len(chosen) // 2)), "white")
+    for i, picture in enumerate(chosen):
+        sheet.paste(picture, (width * (i % 2), height * (i // 2)))
+    sheet.save(out / "leaflets.png")
 
 
 def draw_histories(path: Path, past: History) -> None:
