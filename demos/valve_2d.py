@@ -245,10 +245,10 @@ def extremum(t: FloatArray, x: FloatArray, sign: float, low: float, high: float)
     interval in which x is as good as the value, to the accuracy of reading.
 
     Returns:
-        None where the samples do not reach ``high``, or where there is no such interval.
+        None where the samples end more than a step before ``high``, or where there is no such interval.
     """
     inside = np.flatnonzero((t >= low - 1e-9) & (t <= high + 1e-9))
-    if len(inside) < 3 or t[-1] < high - 1e-9:
+    if len(inside) < 3 or t[-1] < high - (t[1] - t[0]):
         return None
     i = int(inside[np.argmax(sign * x[inside])])
     level = x[i] - sign * READING
