@@ -38,11 +38,13 @@ help: ## show this list
 setup: ## install Debian's packages and make .venv, whatever is missing of them
 	@$(SETUP)
 
-demo: setup ## run the fluid-membrane benchmark with its convergence table, a shell and a flow, into results/
+demo: setup ## run the fluid-membrane benchmark with its convergence table, a shell, a flow and valves, into results/
 	$(PYTHON) demos/manufactured.py --level 4 --out results/manufactured
 	$(PYTHON) benchmarks/manufactured.py --levels 1,2,3,4 --presets reference,default --out results/manufactured
 	$(PYTHON) demos/scordelis_lo.py --out results/scordelis_lo
 	$(PYTHON) demos/lid_driven_cavity.py --degree 2 --out results/lid_driven_cavity
+	$(PYTHON) demos/valve_2d.py --elements 16 --out results/valve_2d
+	$(PYTHON) demos/heart_valve.py --resolution 8 --dt 2e-4 --until 0.02 --frames 10 --out results/heart_valve
 
 test: setup ## run the tests, but for the slow ones
 	$(PYTHON) -m pytest -m "not slow"
@@ -72,6 +74,9 @@ bench: setup ## run the benchmarks, into results/benchmarks
 	$(PYTHON) benchmarks/flow.py --out results/benchmarks/flow
 	$(PYTHON) benchmarks/flow_tangents.py --out results/benchmarks/flow_tangents
 	$(PYTHON) benchmarks/flow_extremes.py --out results/benchmarks/flow_extremes
+	$(PYTHON) benchmarks/valve_2d.py --out results/benchmarks/valve_2d
+	$(PYTHON) benchmarks/heart_valve.py --out results/benchmarks/heart_valve
+	$(PYTHON) benchmarks/valve_extremes.py --out results/benchmarks/valve_extremes
 
 docs: ## write the documentation of the packages into build/docs
 	@$(SETUP) docs
