@@ -16,6 +16,7 @@ section 6, doi:10.1016/j.camwa.2020.01.023. The leaflets there come from a file;
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -397,20 +398,19 @@ class History:
         return {name: script.Quantity(value) for name, value in found.items()}
 
     def _leak(self, closed: Any) -> dict[str, float]:
-        """Mean backflow of the closed valve, over whole oscillations as far as there are any."""
+        """Mean backflow of the closed valve in its last whole oscillation, or in all the time if there is none."""
         q, t = self["flow_rate"][closed], self.t[closed]
-        up = np.flatnonzero((q[:-1] < q.mean()) & (q[1:] >= q.mean()))
-        if len(up) > 1:
-            q, t = q[up[0] : up[-1] + 1], t[up[0] : up[-1] + 1]
-        half = len(q) // 2
-        mean = -float(trapezoid(q, t)) / float(t[-1] - t[0])
         peak = float(self["flow_rate"][self.t <= self.reversal].max())
-        return {
-            "mean_leak": mean,
-            "mean_leak_relative": mean / peak,
-            "oscillations": float(max(0, len(up) - 1)),
-            "oscillation_decay": float(np.ptp(q[half:]) / np.ptp(q[:half])) if half > 1 else 1.0,
-        }
+        middle = q[len(q) // 2 :].mean()
+        up = np.flatnonzero((q[:-1] < middle) & (q[1:] >= middle)) + 1
+        parts = [slice(a, b + 1) for a, b in pairwise(up)] or [slice(None)]
+        last, sizes = parts[-1], [float(np.ptp(q[part])) for part in parts]
+        mean = -float(trapezoid(q[last], t[last])) / float(t[last][-1] - t[last][0])
+        found = {"mean_leak": mean, "mean_leak_relative": mean / peak, "oscillations": float(len(up[1:]))}
+        if len(parts) > 1:
+            found["oscillation_period"] = float(t[up[-1]] - t[up[0]]) / len(parts)
+            found["oscillation_decay"] = (sizes[-1] / sizes[0]) ** (1.0 / (len(parts) - 1))
+        return found
 
 
 def main(
