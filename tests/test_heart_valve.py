@@ -10,6 +10,7 @@ import valve_extremes
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from load import load_demo
+from mpi_runs import mpirun
 
 from coudalfish import CouplingOptions
 from tigar_x import surfaces
@@ -133,6 +134,17 @@ def test_a_run_that_goes_on_is_the_same_as_one_that_does_not_end(tmp_path):
     assert parts["steps"] == whole["steps"] == 8
     one, other = (np.loadtxt(tmp_path / name / "history.csv", delimiter=",", skiprows=1) for name in ("whole", "parts"))
     np.testing.assert_allclose(other, one, rtol=1e-6, atol=1e-9)
+
+
+def test_two_ranks_give_the_same_history(tmp_path):
+    """To the tolerance of the linear solver, whose preconditioner knows the ranks."""
+    settings = ("--resolution", 5, "--dt", 1e-4, "--until", 5e-4, "--frames", 0, "--no-viz")
+    rows = []
+    for ranks in (1, 2):
+        done = mpirun(ranks, demo.__file__, *settings, "--out", tmp_path / str(ranks))
+        assert done.returncode == 0, done.stderr[-2000:]
+        rows.append(np.loadtxt(tmp_path / str(ranks) / "history.csv", delimiter=",", skiprows=1))
+    np.testing.assert_allclose(rows[1], rows[0], rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("settings", [{"material": "lee-sacks"}, {"waveform": "pulse"}, {"outlet_resistance": 50.0}])
