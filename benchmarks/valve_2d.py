@@ -26,6 +26,7 @@ from tigar_x.linear import LinearSolver, direct, gmres_ilu
 HERE = Path(__file__).resolve().parent
 DEFAULT = CouplingOptions()
 REFERENCE = replace(CouplingOptions.reference(), block_rtol=1e-2)
+SMOOTHED = replace(DEFAULT, relaxation=0.5, relaxation_mode="smoothed")
 TIGHT = replace(DEFAULT, penalty=PenaltyRule(2.0, 2.0), block_rtol=0.1)
 COLUMNS = (
     *("study", "setting", "dim", "elements", "mirrored", "dt_factor", "steps", "passes_mean", "passes_max", "linear"),
@@ -148,11 +149,12 @@ def options_studies(elements: int) -> dict[str, list[Case]]:
         "scale_m": varied("scale_m", (1.0, 0.1, 0.01, 0.0001), lambda s: replace(d, scale_m=s)),
         "relaxation": [
             *varied("r", (1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r)),
-            *varied("smoothed r", (0.1, 0.5), lambda r: replace(d, relaxation=r, relaxation_mode="smoothed")),
+            *varied("smoothed r", (0.1, 0.5, 2.0), lambda r: replace(d, relaxation=r, relaxation_mode="smoothed")),
         ],
         "block_rtol": [
             *varied("block_rtol", (1e-1, 1e-3), lambda r: replace(d, block_rtol=r)),
             Case("block_rtol 0.1 and C_2 2.0", elements=elements, options=TIGHT),
+            Case("block_rtol 0.1 and smoothed r 0.5", elements=elements, options=replace(SMOOTHED, block_rtol=0.1)),
         ],
         "block iteration": [
             Case("consistent tangent", elements=elements, options=replace(d, fluid_tangent="consistent")),
@@ -185,6 +187,7 @@ def mesh_study(dim: int, elements: Iterable[int]) -> list[Case]:
         cases.append(Case(f"{dim}D default, {n}", dim, n))
         if dim == 2:
             cases.append(Case(f"{dim}D default, published mesh, {n}", dim, n, mirrored=False))
+            cases.append(Case(f"{dim}D default, smoothed multiplier, {n}", dim, n, SMOOTHED))
     return cases
 
 

@@ -61,7 +61,7 @@ from varmint.mesh_aorta import aortic_root
 from varmint.quantities import Measured, PointValues, flow_rate
 
 DOI = "10.1016/j.camwa.2020.01.023"
-TOY = {"resolution": 6, "until": 3e-4, "frames": 1}
+TOY = {"resolution": 6, "until": 2e-4, "frames": 4}
 BEFORE, BEHIND = (0.0, 0.0, -0.3), (0.0, 0.0, 1.7)
 TENSION = 1.5e5
 """Membrane force at the end of the pictures' scale of colours."""
