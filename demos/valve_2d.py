@@ -295,6 +295,7 @@ def main(
     leaflet_elements: int = 16,
     degree: int = 2,
     preset: Literal["reference", "default"] = "default",
+    smoothing: float = 0.0,
     steps_per_element: int = 32,
     dt_factor: float = 1.0,
     until: float = 3.0,
@@ -313,6 +314,7 @@ def main(
         leaflet_elements: Bezier elements of each leaflet.
         degree: of the leaflets, at least 2.
         preset: the published algorithm, or this library's defaults.
+        smoothing: relaxation of the multiplier towards its means over vertices, about 0.5; 0: none.
         steps_per_element: the published time step is 3 over this times the elements.
         dt_factor: time step relative to the published one.
         until: end.
@@ -338,6 +340,8 @@ def main(
         "invariant_metric": invariant_metric,
     }
     options = options_of(preset)
+    if checks.not_negative("smoothing", smoothing):
+        options = replace(options, relaxation=smoothing, relaxation_mode="smoothed")
     valve = build(dim, elements, dt, options, data=data, **discretisation)
     fsi = valve.fsi
     inputs = {"dim": dim, "elements": elements, **discretisation, "preset": preset, "options": options}

@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -208,6 +209,7 @@ def test_extrema_of_a_known_curve():
         ("leaflet_elements", 1, "leaflet_elements = 1"),
         ("degree", 1, "degree = 1"),
         ("steps_per_element", 0, "steps_per_element = 0"),
+        ("smoothing", -0.1, "smoothing = -0.1"),
         ("dt_factor", -1.0, "dt_factor = -1.0"),
         ("dt_factor", float("nan"), "dt_factor = nan"),
         ("until", 0.0, "until = 0.0"),
@@ -240,8 +242,8 @@ def test_reference_preset_is_the_published_algorithm(tmp_path):
 
 def whole(elements, preset="default", d=2, **options):
     """The columns of a run to T = 3 with the published time step, and its memory after 10 steps and at the end."""
-    options = {"mirrored": preset == "default"} | options
-    valve = DEMO.build(d, elements, options=DEMO.options_of(preset), **options)
+    options = {"mirrored": preset == "default", "options": DEMO.options_of(preset)} | options
+    valve = DEMO.build(d, elements, **options)
     steps, memory = [], []
     for _ in range(32 * elements):
         steps.append(DEMO.in_numbers(valve.fsi.takeStep(), valve.tips()))
@@ -281,6 +283,18 @@ def test_long_runs_are_flat_in_memory_and_passes(default_runs):
         assert run.growth < 4.0
         assert run.columns["passes"].max() <= 6
         assert run.columns["passes"].mean() < 2.1
+
+
+@pytest.mark.slow
+def test_a_smoothed_multiplier_has_no_patterns(default_runs):
+    """Its largest value falls to less than half, and the trough to where finer meshes see it."""
+    options = replace(CouplingOptions(), relaxation=0.5, relaxation_mode="smoothed")
+    plain, smooth = default_runs[16].columns, whole(16, options=options).columns
+    assert smooth["slip_ratio"].max() < 0.5 * plain["slip_ratio"].max()
+    finest = default_runs[32].columns
+    troughs = [DEMO.extrema(run["t"], run["top_x"])["trough_2"][1] for run in (plain, smooth, finest)]
+    assert troughs[1] < troughs[2] < troughs[0]
+    assert np.abs(smooth["leak"]).sum() < 1.1 * np.abs(plain["leak"]).sum()
 
 
 @pytest.mark.slow
