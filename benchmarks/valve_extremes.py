@@ -83,6 +83,11 @@ class Outcome:
         arrays = [*(f.x.array for f in fields), fsi.lam, np.array(self.rows)]
         return all(bool(np.isfinite(array).all()) for array in arrays)
 
+    @property
+    def closing_ratio(self) -> float:
+        """Largest approach of two points in a step, relative to the range of contact."""
+        return max((report.contact.closing_ratio for report in self.reports), default=0.0)
+
     def column(self, name: str) -> Any:
         """A recorded quantity over time."""
         return np.array(self.rows)[:, demo.COLUMNS.index(name)]
@@ -92,14 +97,13 @@ class Outcome:
         if not self.rows:
             return [name, self.result, *["-"] * (len(HEADER) - 3), self.message]
         passes = [report.passes for report in self.reports]
-        contact = [report.contact for report in self.reports]
         r_max = self.valve.leaflets.contact.kernel.r_max
         numbers = (
             self.column("opening_area").max(),
             self.column("opening_area")[-1],
             self.column("smallest_distance").min() / r_max,
             self.piercings,
-            max(c.closing_ratio for c in contact),
+            self.closing_ratio,
             max(report.slip_ratio for report in self.reports),
         )
         shown = (f"{number:.3g}" for number in numbers)
