@@ -310,7 +310,10 @@ class Step:
     def failure(self, error: Exception) -> StepError:
         """The error that tells the user which block failed, why, and which number is suspect."""
         block = error.block if isinstance(error, RejectedStepError) else self.block
-        return StepError(block, str(error), self.suspect(), self.report(None))
+        suspect, touching = self.suspect(), self.shell.touching
+        if block == "shell" and touching is not None:
+            suspect += f"; {touching.pairs} pairs touch: reduce dt or smooth the kernel of contact"
+        return StepError(block, str(error), suspect, self.report(None))
 
     def suspect(self) -> str:
         """The number that exceeds its advised limit most, or a statement that none does."""

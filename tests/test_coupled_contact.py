@@ -144,14 +144,28 @@ def test_a_failed_step_in_contact_leaves_the_last_good_state():
         pass
     fsi.options = CouplingOptions(max_passes=1, block_rtol=1e-14, block_atol=0.0, second_attempt=False)
     before = [f.x.array.copy() for f in (fsi.timeInt_f.x, fsi.timeInt_sh.x)], fsi.lam.copy(), fsi.timeInt_sh.time
-    with pytest.raises(StepError):
+    with pytest.raises(StepError) as caught:
         fsi.takeStep()
+    assert ("pairs touch" in caught.value.suspect) == (caught.value.block == "shell")
     for f, value in zip((fsi.timeInt_f.x, fsi.timeInt_sh.x), before[0], strict=True):
         np.testing.assert_array_equal(f.x.array, value)
     np.testing.assert_array_equal(fsi.lam, before[1])
     assert fsi.timeInt_sh.time == before[2]
     fsi.options = CouplingOptions()
     fsi.takeStep()
+
+
+def test_a_shell_that_fails_in_contact_says_so(monkeypatch):
+    scene = approaching()
+    fsi = scene.fsi
+    while not fsi.takeStep().contact.pairs:
+        pass
+    monkeypatch.setattr(fsi.shell, "solve", lambda: None)  # the shell's residual never falls
+    fsi.options = CouplingOptions(max_passes=3, second_attempt=False)
+    with pytest.raises(StepError) as caught:
+        fsi.takeStep()
+    assert caught.value.block == "shell"
+    assert "pairs touch: reduce dt or smooth the kernel of contact" in caught.value.suspect
 
 
 @pytest.mark.parametrize("stiffness", [1e2, 1e5, 1e9, 1e12])
