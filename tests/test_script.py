@@ -196,6 +196,15 @@ def test_a_run_is_told_to_end(number, caplog):
         assert not asked()
 
 
+@pytest.fixture
+def interrupts():
+    """Python's own handler of Ctrl-C, which a process in the background or one that has used gmsh may not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_the_second_interrupt_is_one():
     before = handlers()
 
