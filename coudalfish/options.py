@@ -41,7 +41,7 @@ class CouplingOptions:
 
     Attributes:
         penalty: beta as a number (unit: force time/length^3) or a rule.
-        relaxation: r >= 0 in the multiplier update; 0 for transients, about 1e-5 for long quasi-steady loading.
+        relaxation: r >= 0 in the multiplier update; 0 suits transients, long runs need one, see docs/stability.md.
         relaxation_mode: "uniform" damps all of the multiplier by r, "smoothed" only its difference from its mean over
             the vertices of the fluid's mesh, which does not leak: r may be 0.1 to 1.
         scale_m: factor of tau_M in the band around the surface, in (0, 1].

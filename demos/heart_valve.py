@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -128,7 +127,7 @@ class Leaflets:
         y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
         scheme = generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True)
         time = self.time = TimeIntegrator(y, dt, scheme)
-        c = SimpleNamespace(**{key: fem.Constant(spline.mesh, float(value)) for key, value in vars(data).items()})
+        c = script.constants(spline.mesh, data)
         matter = self.material = material(name, c)
         residual = internal_work(spline, matter, time.x_alpha, z)
         tangent = internal_tangent(spline, matter, time.x_alpha, z, y)
@@ -544,7 +543,7 @@ def main(
             "range_of_contact": leaflets.contact.kernel.r_max,
             "points_to_range_of_contact": leaflets.contact.spacing_ratio,
             "asymmetry_max": float(past["asymmetry"].max()),
-            "largest_cell_size": fsi.fluid.mesh_size,
+            "cell_size": fsi.fluid.mesh_size,
         },
     )
     if MPI.COMM_WORLD.rank == 0:
@@ -574,7 +573,6 @@ class Pictures:
             self._tension.x.array[:] = projector(form).ravel()
             return self._tension.x.array.copy()
 
-        self._refresh = tension
         self._fluid = XDMFSeries(
             run.named(out / "fluid.xdmf"), valve.flow.mesh.domain, velocity=(w, (0, 1, 2)), pressure=(w, (3,))
         )
@@ -593,7 +591,6 @@ class Pictures:
         self._fluid.write(t)
         self._shell.write(t)
         if MPI.COMM_WORLD.rank == 0:
-            self._refresh()
             draw_leaflets(self._out / "frames" / f"leaflets_{number:04d}.png", self._leaflets, self._tension, t)
 
     def close(self) -> None:

@@ -74,11 +74,6 @@ class Data:
     rho_infinity: float = 0.0
 
 
-def constants(domain: mesh.Mesh, data: Data) -> SimpleNamespace:
-    """The data as Constants on a mesh, so that other numbers compile nothing again."""
-    return SimpleNamespace(**{name: fem.Constant(domain, float(value)) for name, value in vars(data).items()})
-
-
 def unit(i: int, d: int) -> Any:
     """Unit vector e_(i+1) in d dimensions."""
     return ufl.as_vector([float(i == j) for j in range(d)])
@@ -135,7 +130,7 @@ def project(function: fem.Function, expression: Any) -> None:
 
 def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver | None) -> FluidSubproblem:
     """The flow: VMS interior, weak Dirichlet conditions on four sides, slip on an extrusion's ends, pressure pinned."""
-    c, d = constants(domain, data), domain.geometry.dim
+    c, d = script.constants(domain, data), domain.geometry.dim
     V = equal_order_space(domain)
     w = fem.Function(V, name="w")
     time = TimeIntegrator(w, dt, generalized_alpha(data.rho_infinity), algebraic=(d,))
@@ -193,7 +188,7 @@ def make_membrane(data: Data, d: int, elements: int, dt: float, projected: bool)
     fixed = [patch.side_dofs("u0"), patch.side_dofs("u1"), np.arange(2, d * patch.basis.n, 3) if d == 3 else []]
     zero_dofs = np.concatenate(fixed).astype(int)
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
-    c = constants(spline.mesh, data)
+    c = script.constants(spline.mesh, data)
     speed = exact_displacement(spline.F, 1.0, c)
     if projected:
         velocity = spline.project(speed)
@@ -244,9 +239,9 @@ def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, floa
     """Norms of the errors at time t per unit depth; the gradient is compared side by side."""
     domain, spline = fsi.mesh_f, fsi.spline_sh
     (v, p), y = split(fsi.timeInt_f.x), fsi.timeInt_sh.x
-    exact = exact_flow(ufl.SpatialCoordinate(domain), t, constants(domain, data))
+    exact = exact_flow(ufl.SpatialCoordinate(domain), t, script.constants(domain, data))
     dx = ufl.dx(domain=domain, metadata={"quadrature_degree": degree})
-    e_y = y - exact_displacement(spline.F, t, constants(spline.mesh, data))
+    e_y = y - exact_displacement(spline.F, t, script.constants(spline.mesh, data))
     forms = compat.compile_forms(
         ufl.inner(v - exact.u, v - exact.u) * dx,
         ufl.inner(ufl.grad(v) - exact.grad_u, ufl.grad(v) - exact.grad_u) * dx,

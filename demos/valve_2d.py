@@ -18,7 +18,6 @@ doi:10.1016/j.camwa.2020.01.023.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -174,7 +173,7 @@ def make_leaflets(data: Data, d: int, elements: int, degree: int, dt: float) -> 
     if d == 3:
         fixed.append(np.arange(2, 3 * leaflets.n, 3, dtype=np.int32))
     spline = ExtractedSpline(leaflets, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=np.unique(np.concatenate(fixed)))
-    c = SimpleNamespace(**{name: fem.Constant(spline.mesh, float(value)) for name, value in vars(data).items()})
+    c = script.constants(spline.mesh, data)
     y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
     time = TimeIntegrator(y, dt, generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True))
     material = StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness)

@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 import ufl
 from mpi4py import MPI
+from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat
@@ -97,6 +98,19 @@ def set_up_logging(level: int = logging.INFO) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level if MPI.COMM_WORLD.rank == 0 else logging.ERROR)
+
+
+def constants(domain: mesh.Mesh, data: Any) -> types.SimpleNamespace:
+    """A script's data as Constants, so that other numbers compile nothing again.
+
+    Args:
+        domain: mesh whose forms they enter.
+        data: dataclass of numbers.
+
+    Returns:
+        Constants under the names of the numbers.
+    """
+    return types.SimpleNamespace(**{name: fem.Constant(domain, float(value)) for name, value in vars(data).items()})
 
 
 class Termination:
