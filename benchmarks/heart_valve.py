@@ -1,33 +1,21 @@
 """What a step of the heart valve costs: against the published code, by its parts, by size and by ranks."""
 
 import cProfile
-import csv
 import json
 import logging
-import os
 import pstats
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 from breakdown import shares
 from calibrate import calibrate, legacy_speed
-from load import load_demo
+from load import legacy_valve, load_demo, on_ranks
 
 from tigar_x import script
 
 HERE = Path(__file__).resolve()
 WARM_UP = 10
-
-
-def legacy() -> dict[str, float]:
-    """Figures of the published code."""
-    with open(HERE.parent / "legacy_valves.csv", newline="") as file:
-        rows = csv.DictReader(line for line in file if not line.startswith("#"))
-        row = next(row for row in rows if row["problem"] == "heart_valve")
-    return {key: float(value) for key, value in row.items() if key != "problem" and value}
 
 
 def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled: bool) -> dict[str, Any]:
@@ -66,14 +54,8 @@ def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled
 
 def run(ranks: int, resolution: int, elements: int, preset: str, steps: int) -> dict[str, Any]:
     """The same in processes of its own."""
-    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
-    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-    command = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable, str(HERE), "--worker"]
-    command += ["--resolution", str(resolution), "--leaflet-elements", str(elements), "--presets", preset]
-    done = subprocess.run([*command, "--steps", str(steps)], capture_output=True, text=True, env=env)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    settings = ("--resolution", resolution, "--leaflet-elements", elements, "--presets", preset, "--steps", steps)
+    return dict(on_ranks(ranks, HERE, "--worker", *settings))
 
 
 def main(
@@ -107,7 +89,7 @@ def main(
         if MPI.COMM_WORLD.rank == 0:
             print(json.dumps(found))
         return {}
-    index, published = legacy_speed(calibrate()), legacy()
+    index, published = legacy_speed(calibrate()), legacy_valve("heart_valve")
     compared = [measure(resolution, leaflet_elements, name, steps, profiled=True) for name in names]
     cost = published["cpu_s_per_step"]
     first = (published["cells"], published["nodes_shell"], published["passes_mean"], "-", cost, cost, "-")

@@ -2,14 +2,11 @@
 
 import json
 import logging
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any, Literal
 
 from mpi4py import MPI
-from load import load_demo
+from load import load_demo, on_ranks
 
 from coudalfish import CouplingOptions
 from tigar_x import script
@@ -38,14 +35,8 @@ def measure(dim: int, level: int, tight: bool, steps: int) -> dict[str, Any]:
 
 def run(ranks: int, dim: int, level: int, tight: bool, steps: int) -> dict[str, Any]:
     """The same in processes of its own."""
-    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
-    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-    command = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable, str(HERE), "--worker", "--dim", str(dim)]
-    command += ["--level", str(level), "--tight" if tight else "--no-tight", "--steps", str(steps)]
-    done = subprocess.run(command, capture_output=True, text=True, env=env)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    settings = ("--dim", dim, "--level", level, "--tight" if tight else "--no-tight", "--steps", steps)
+    return dict(on_ranks(ranks, HERE, "--worker", *settings))
 
 
 def main(

@@ -16,14 +16,13 @@ from typing import Any
 
 import calibrate
 import numpy as np
-from load import load_demo
+from load import legacy_valve, load_demo
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x import script
 from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, direct, gmres_ilu
 
-HERE = Path(__file__).resolve().parent
 DEFAULT = CouplingOptions()
 REFERENCE = replace(CouplingOptions.reference(), block_rtol=1e-2)
 SMOOTHED = replace(DEFAULT, relaxation=0.5, relaxation_mode="smoothed")
@@ -320,17 +319,9 @@ def run_all(studies: dict[str, list[Case]], folder: Path, speed: float) -> dict[
     return {name: json.loads((folder / f"{name}.json").read_text()) for name in every}
 
 
-def legacy() -> dict[str, float]:
-    """Figures of the published code."""
-    with open(HERE / "legacy_valves.csv", newline="") as file:
-        rows = csv.DictReader(line for line in file if not line.startswith("#"))
-        found = next(r for r in rows if r["problem"] == "valve_2d")
-    return {name: float(value) for name, value in found.items() if name != "problem"}
-
-
 def compare(rows: list[dict[str, Any]], elements: int = 16) -> None:
     """Print what runs cost that are as fine as that of the published code, relative to it."""
-    published = legacy()
+    published = legacy_valve("valve_2d")
     step = published["cpu_s_per_step"]
     table = [
         (
