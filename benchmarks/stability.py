@@ -9,12 +9,8 @@ the same outcomes that this script tabulates. The scenes are plane and small:
 """
 
 import csv
-import json
 import logging
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -27,7 +23,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
-from load import load_demo
+from load import load_demo, on_ranks
 
 from coudalfish import (
     CouDALFISh,
@@ -736,22 +732,15 @@ def taylor_hood(value: tuple[float, float]) -> tuple[Reports, Observed]:
 
 @case("ranks", "same errors as on one rank to 1e-8", slow=(2, 3))
 def ranks(n: int) -> tuple[Reports, Observed]:
-    one, many = (on_ranks(size) for size in (1, n))
+    one, many = (errors_on(size) for size in (1, n))
     return [], {f"{name} differs by": abs(many[name] - one[name]) / one[name] for name in one}
 
 
-def on_ranks(n: int) -> Observed:
+def errors_on(n: int) -> Observed:
     """Errors of the manufactured problem on n processes, with direct solves and tight block tolerances."""
-    keep = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
-    keep |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import stability as s, json; "
-    code += "e = s.manufactured(2, s.TIGHT)[1]; print('errors', json.dumps(e)) if not s.MPI.COMM_WORLD.rank else None"
-    command = ["mpirun", "-n", str(n), "--oversubscribe", sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, env=keep, timeout=900)
-    lines = [line for line in done.stdout.splitlines() if line.startswith("errors ")]
-    if done.returncode or len(lines) != 1:
-        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
-    return dict(json.loads(lines[0].removeprefix("errors ")))
+    code += "e = s.manufactured(2, s.TIGHT)[1]; print(json.dumps(e)) if not s.MPI.COMM_WORLD.rank else None"
+    return dict(on_ranks(n, "-c", code))
 
 
 def long_advance(fsi: CouDALFISh, steps: int, chunk: int = 100) -> Reports:
