@@ -150,7 +150,8 @@ class Leaflets:
         growth = max(1.0, spacing / (SPACING * data.contact_range))
         # pressure between two sheets goes with the third power of the range: the surface keeps its stiffness
         kernel = LinearKernel(growth * data.contact_range, data.contact_stiffness / growth**3)
-        return SelfContact(quadrature, kernel, growth * data.contact_self)
+        # as published: at the posts leaflets start nearer than r_max, and there they touch freely
+        return SelfContact(quadrature, kernel, growth * data.contact_self, neighbours="space")
 
     @property
     def positions(self) -> FloatArray:

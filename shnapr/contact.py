@@ -4,24 +4,34 @@ Source: Kamensky et al., "A contact formulation based on a volumetric potential"
 pairs of nodes whose reference distance exceeds r_self interact through ``E_c = sum_pairs W_A W_B phi(r_AB)``, with the
 nodal quadrature weights W and a potential phi that vanishes from r_max on. Surfaces cannot pass between their points
 as long as the spacing of the nodes is well below r_max.
+
+The published rule exempts neighbours by their distance in space, and with them whatever starts close together: a valve
+that is drawn closed, or stacked sheets. Here a pair is exempt when there is a short way along the surface besides.
 """
 
 import logging
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from shnapr.contact_kernels import Kernel, LinearKernel, SmoothedKernel
+from shnapr.neighbours import WAY, IndexArray, way_apart
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.linear import SolveError
 from tigar_x.quadrature import NodalQuadrature
 
+__all__ = ["ContactForces", "Kernel", "LinearKernel", "Neighbours", "SelfContact", "SmoothedKernel"]
+
 log = logging.getLogger(__name__)
+
+Neighbours = Literal["surface", "space"]
+"""What exempts points within r_self: a short way along the surface, or their distance in space alone."""
 
 SKIN = 0.2
 """How much further than r_max pairs are searched, relative to it: they serve until a node has moved by half of that."""
@@ -29,103 +39,6 @@ MOST_APPROACH = 3.0
 """Largest way in a step, relative to r_max, within which approaching points are looked for."""
 COINCIDENT = 1e-12
 """Distance relative to r_max below which two points have no direction of their own."""
-
-IndexArray = NDArray[np.intp]
-
-
-class Kernel(Protocol):
-    """Potential phi(r) of a pair of points per product of their weights; arrays in, arrays out."""
-
-    @property
-    def r_max(self) -> float:
-        """Distance from which on the potential vanishes; unit: length."""
-
-    def energy(self, r: FloatArray) -> FloatArray:
-        """Potential phi, zero at r_max, of distances r >= 0."""
-
-    def slope(self, r: FloatArray) -> FloatArray:
-        """First derivative phi' at distances r >= 0; negative where the points repel each other."""
-
-    def curvature(self, r: FloatArray) -> FloatArray:
-        """Second derivative phi'' at distances r >= 0."""
-
-
-@dataclass(frozen=True)
-class LinearKernel:
-    """Repulsion that grows linearly from r_max inwards: ``phi' = -k (r_max - r)``.
-
-    Attributes:
-        r_max: range > 0; unit: length.
-        stiffness: k > 0; unit: force/length^5, in the plane force/length^4 (per unit depth).
-
-    Raises:
-        ValueError: a parameter is out of range.
-    """
-
-    r_max: float
-    stiffness: float
-
-    def __post_init__(self) -> None:
-        checks.positive("r_max", self.r_max)
-        checks.positive("stiffness", self.stiffness)
-
-    def energy(self, r: FloatArray) -> FloatArray:
-        """Potential ``k (r_max - r)^2/2`` at distances r."""
-        return self.stiffness * np.maximum(self.r_max - r, 0.0) ** 2 / 2.0
-
-    def slope(self, r: FloatArray) -> FloatArray:
-        """First derivative phi' at distances r."""
-        return -self.stiffness * np.maximum(self.r_max - r, 0.0)
-
-    def curvature(self, r: FloatArray) -> FloatArray:
-        """Second derivative phi'' at distances r; jumps from k to zero at r_max."""
-        return np.where(r < self.r_max, self.stiffness, 0.0)
-
-
-@dataclass(frozen=True)
-class SmoothedKernel:
-    """The linear repulsion with a quadratic onset over a length ``L = s r_max``, so that phi'' is continuous.
-
-    ``phi' = -k (r_max - r)^2/(2 L)`` for ``r_max - r < L``, else ``-k (r_max - r - L/2)``.
-
-    Attributes:
-        r_max: range > 0; unit: length.
-        stiffness: k > 0; unit: force/length^5, in the plane force/length^4 (per unit depth).
-        smoothing: s in (0, 1].
-
-    Raises:
-        ValueError: a parameter is out of range.
-    """
-
-    r_max: float
-    stiffness: float
-    smoothing: float
-
-    def __post_init__(self) -> None:
-        checks.positive("r_max", self.r_max)
-        checks.positive("stiffness", self.stiffness)
-        if not 0.0 < checks.finite("smoothing", self.smoothing) <= 1.0:
-            raise ValueError(f"smoothing = {self.smoothing!r}: a number in (0, 1] is required")
-
-    def _onset(self, r: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Length L of the onset, overlap r_max - r, and the part of the overlap within L."""
-        length, overlap = self.smoothing * self.r_max, np.maximum(self.r_max - r, 0.0)
-        return length, overlap, np.minimum(overlap, length)
-
-    def energy(self, r: FloatArray) -> FloatArray:
-        """Potential ``k (a^3 - (a - c)^3)/(6 L)`` at distances r, with the overlap a and its part c within L."""
-        length, a, c = self._onset(r)
-        return self.stiffness * c * (3.0 * a * (a - c) + c**2) / (6.0 * length)
-
-    def slope(self, r: FloatArray) -> FloatArray:
-        """First derivative phi' at distances r."""
-        length, a, c = self._onset(r)
-        return -self.stiffness * c * (2.0 * a - c) / (2.0 * length)
-
-    def curvature(self, r: FloatArray) -> FloatArray:
-        """Second derivative phi'' at distances r."""
-        length, _, c = self._onset(r)
-        return self.stiffness * c / length
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,18 +79,24 @@ class SelfContact:
         quadrature: reference positions (in d = 2 or 3 dimensions) and weights of the points; those of weight zero take
             no part.
         kernel: the potential; its r_max is below r_self.
-        r_self: pairs with at most this distance in the reference configuration never interact; unit: length.
+        r_self: neighbours with at most this distance in the reference configuration never interact; unit: length.
+        neighbours: "surface": those with a way of at most 2 r_self from one to the other along the surface, over
+            patches that are glued or touch. Surfaces that start nearer than r_max then push each other from the start.
+            "space": all pairs, as published. A quadrature without cells knows of no surface and takes "space".
 
     Attributes:
         quadrature: as given.
         kernel: as given.
         r_self: as given.
+        apart: pairs within r_self in the reference configuration without such a way, ascending, shape (pairs, 2).
 
     Raises:
         ValueError: an argument is out of range or has a wrong shape.
     """
 
-    def __init__(self, quadrature: NodalQuadrature, kernel: Kernel, r_self: float) -> None:
+    def __init__(
+        self, quadrature: NodalQuadrature, kernel: Kernel, r_self: float, *, neighbours: Neighbours = "surface"
+    ) -> None:
         points = checks.array("quadrature.points", quadrature.points, (None, None))
         n, d = points.shape
         if d not in (2, 3):
@@ -194,10 +113,30 @@ class SelfContact:
         self.quadrature = quadrature
         self.kernel = kernel
         self.r_self = float(r_self)
+        checks.choice("neighbours", neighbours, get_args(Neighbours))
+        self.apart = way_apart(quadrature, self.r_self)
         self._used = np.flatnonzero(quadrature.weights)
         self._searched_at: FloatArray | None = None
         self._found: IndexArray = np.empty((0, 2), dtype=np.intp)
         self._warned = False
+        self._allowed = self._keys(self.apart) if neighbours == "surface" else np.empty(0, dtype=np.intp)
+        self._report(neighbours)
+
+    def _report(self, neighbours: Neighbours) -> None:
+        """Say how many pairs start within range without being neighbours."""
+        if not len(self.apart):
+            return
+        closer = int(np.count_nonzero(_gaps(self.quadrature.points, self.apart)[1] < self.kernel.r_max))
+        found = (
+            f"contact: {len(self.apart)} pairs of points start nearer than r_self = {self.r_self:g}, {closer} of them "
+            f"nearer than r_max = {self.kernel.r_max:g}, without a way of {WAY:g} r_self between them along the surface"
+        )
+        if neighbours == "space":
+            log.info("%s; with neighbours = 'space' they never touch", found)
+        elif closer:
+            log.warning("%s; those within r_max push each other from the start: reduce r_max if they should not", found)
+        else:
+            log.info("%s; they may touch", found)
 
     @cached_property
     def spacing_ratio(self) -> float:
@@ -304,8 +243,15 @@ class SelfContact:
         """All admissible pairs closer than ``reach``, in ascending order, shape (pairs, 2)."""
         tree = cKDTree(x[self._used], balanced_tree=False, compact_nodes=False)
         pairs = self._used[tree.query_pairs(reach, output_type="ndarray")]
-        pairs = pairs[_gaps(self.quadrature.points, pairs)[1] > self.r_self]
+        far = _gaps(self.quadrature.points, pairs)[1] > self.r_self
+        if len(self._allowed):
+            far |= np.isin(self._keys(pairs), self._allowed, assume_unique=True)
+        pairs = pairs[far]
         return pairs[_by_column(pairs[:, 1], pairs[:, 0], np.arange(len(pairs)), len(x)).data]
+
+    def _keys(self, pairs: IndexArray) -> IndexArray:
+        """One number for every pair, in whatever order its points are given."""
+        return pairs.min(axis=1) * len(self.quadrature.points) + pairs.max(axis=1)
 
     def _reference_directions(self, pairs: IndexArray) -> FloatArray:
         """Unit vectors between the reference positions of pairs that are in the same place."""

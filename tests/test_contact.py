@@ -11,6 +11,7 @@ from shnapr import contact
 from shnapr.contact import LinearKernel, SelfContact, SmoothedKernel
 from tigar_x import shapes
 from tigar_x.linear import SolveError
+from tigar_x.multipatch import disjoint, glued
 from tigar_x.quadrature import NodalQuadrature
 from tigar_x.spline import ExtractedSpline
 
@@ -320,6 +321,113 @@ def test_points_that_meet_along_a_diagonal(d):
     assert self_contact.evaluate(x).pairs == 0
     x += [[0.099 * R_MAX], [-0.099 * R_MAX]]
     assert self_contact.evaluate(x).distance == pytest.approx(R_MAX * (1.21 - 0.198 * np.sqrt(d)), rel=1e-12)
+
+
+# -- neighbours along the surface -------------------------------------------------------------------------------------
+
+GAP, NEAR = 0.05, 0.06
+
+
+def rows(*ys, elements=20, degree=2):
+    """Straight lines of length 1 above each other."""
+    return [shapes.line((0, y), (1, y), elements=elements, degree=degree) for y in ys]
+
+
+def of_shell(geometry, r_max=0.04, r_self=NEAR, **options):
+    rule = NodalQuadrature.of(ExtractedSpline(geometry, MPI.COMM_SELF))
+    return rule, SelfContact(rule, LinearKernel(r_max, 1.0), r_self, **options)
+
+
+def pressed(rule, by=0.03):
+    """What lies above the line y = GAP/2, moved down."""
+    x = rule.points.copy()
+    x[x[:, 1] > GAP / 2, 1] -= by
+    return x
+
+
+def said(caplog):
+    """Records of contact alone: others tell of compilation."""
+    return [record for record in caplog.records if record.name == "shnapr.contact"]
+
+
+def test_patches_that_are_not_joined_touch_however_near_they_start(caplog):
+    with caplog.at_level(logging.INFO):
+        rule, touching = of_shell(disjoint(*rows(0.0, GAP)))
+    got, upper = touching.evaluate(pressed(rule)), rule.points[:, 1] > GAP / 2
+    assert got.pairs >= 2 * 41
+    assert got.distance == pytest.approx(GAP - 0.03, rel=1e-12)
+    assert (got.forces[upper, 1] < 0.0).all()  # as a part of the residual: it is pushed up
+    (record,) = said(caplog)
+    far = np.hypot(0.025, GAP)  # to the next point but one
+    assert far < NEAR < np.hypot(0.05, GAP)
+    assert record.levelno == logging.INFO
+    assert f"contact: {41 + 2 * 40} pairs of points start nearer than r_self = 0.06, 0 of them" in record.message
+    caplog.clear()
+    with caplog.at_level(logging.INFO):
+        published = of_shell(disjoint(*rows(0.0, GAP)), neighbours="space")[1]
+    assert published.evaluate(pressed(rule)).pairs == 0
+    assert "pairs of points start nearer than r_self" in caplog.text
+    assert "with neighbours = 'space' they never touch" in caplog.text
+
+
+def test_patches_that_start_within_the_range_of_contact_push_each_other_and_it_is_said(caplog):
+    with caplog.at_level(logging.WARNING):
+        rule, touching = of_shell(disjoint(*rows(0.0, GAP)), r_max=0.055)
+    assert touching.evaluate(rule.points).pairs == 41
+    assert "41 of them nearer than r_max = 0.055" in caplog.text
+    assert "reduce r_max" in caplog.text
+
+
+def test_patches_that_start_apart_touch_by_the_published_rule(caplog):
+    with caplog.at_level(logging.INFO):
+        (rule, one), (_, other) = (of_shell(disjoint(*rows(0.0, 0.1)), neighbours=n) for n in ("surface", "space"))
+    assert not said(caplog)
+    x = rule.points * (0.7, 0.2)  # so short that neighbours would touch as well
+    got, published = one.evaluate(x), other.evaluate(x)
+    assert got.pairs == published.pairs > 41
+    np.testing.assert_array_equal(got.forces, published.forces)
+    np.testing.assert_array_equal(got.tangent.toarray(), published.tangent.toarray())
+
+
+def test_a_sheet_that_is_folded_touches_itself_and_not_around_the_fold():
+    """A hairpin of one patch, and of three that are glued; its arms are nearer than r_self."""
+    r, length = GAP / 2, 1.0
+
+    def at(s):
+        around = np.clip((s - length) / r, 0.0, np.pi)
+        return (
+            np.where(s < length, s, np.where(s > length + np.pi * r, 2 * length + np.pi * r - s, length))
+            + r * np.sin(around),
+            r * (1.0 - np.cos(around)),
+        )
+
+    total = 2 * length + np.pi * r
+    whole = shapes.interpolated(lambda u: at(total * u), [shapes.uniform(3, 80)])
+    ends = np.array([0.0, length, length + np.pi * r, total])
+    parts = [
+        shapes.interpolated(lambda u, a=a, b=b: at(a + (b - a) * u), [shapes.uniform(3, k)])
+        for a, b, k in zip(ends[:-1], ends[1:], (30, 4, 30), strict=True)
+    ]
+    for geometry in (whole, glued(*parts), disjoint(*parts)):
+        rule, touching = of_shell(geometry)
+        assert len(touching.apart) > 50
+        assert rule.points[touching.apart].max(axis=(0, 1))[0] < length  # around the bend all are neighbours
+        got = touching.evaluate(pressed(rule))
+        assert got.pairs > 50
+        assert got.distance == pytest.approx(GAP - 0.03, rel=1e-2)
+
+
+def test_the_edges_of_patches_that_touch_are_neighbours():
+    """Two sheets in space that meet at an edge, glued or not, and a third one that starts close to them."""
+    first, second = (
+        shapes.parallelogram((0, 0, 0), (x, 0, 0.05), (0, 0.3, 0), elements=(8, 3), degrees=(2, 2)) for x in (0.4, -0.4)
+    )
+    above = shapes.parallelogram((-0.4, 0, 0.1), (0.8, 0, 0), (0, 0.3, 0), elements=(16, 3), degrees=(2, 2))
+    for geometry in (glued(first, second), disjoint(first, second)):
+        assert len(of_shell(geometry)[1].apart) == 0
+    rule, touching = of_shell(disjoint(first, second, above))
+    assert len(touching.apart) > 0
+    assert ((rule.points[touching.apart, 2] > 0.09).sum(axis=1) == 1).all()
 
 
 # -- hard cases --------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from tigar_x.time_integration import LoadStepper, TimeIntegrator, generalized_al
 GAP, R_MAX = 0.1, 0.08
 
 
-def beams(time_step=None, load=0.0, kernel=None):
+def beams(time_step=None, load=0.0, kernel=None, r_self=0.09):
     """Two parallel beams in the plane, each held at one end by its first two control points, with contact."""
     lower = shapes.line((0, 0), (1, 0), elements=16, degree=2)
     upper = shapes.line((0, GAP), (1, GAP), elements=16, degree=2)
@@ -43,7 +43,7 @@ def beams(time_step=None, load=0.0, kernel=None):
     residual += virtual_work(spline, lambda u: strain_energy(spline, material, u), level, z)
     stepper = LoadStepper(y, 0.05)
     residual += dead_load(spline, stepper.t * on_upper * force, z)
-    contact = SelfContact(NodalQuadrature.of(spline), kernel or SmoothedKernel(R_MAX, 1e5, 1.0), r_self=0.09)
+    contact = SelfContact(NodalQuadrature.of(spline), kernel or SmoothedKernel(R_MAX, 1e5, 1.0), r_self)
     system = ContactSystem(spline, residual, ufl.derivative(residual, y), contact, unknown=y, time=time)
     return spline, y, system, stepper
 
@@ -82,8 +82,9 @@ def test_tangent_is_the_slope_of_the_residual(time_step):
     assert np.abs(other - slope).max() > 0.02 * np.abs(slope).max()
 
 
-def test_a_loaded_beam_rests_on_the_other_one():
-    spline, y, system, stepper = beams(load=0.02)
+@pytest.mark.parametrize("r_self", [0.09, 0.12])
+def test_a_loaded_beam_rests_on_the_other_one_however_near_it_starts(r_self):
+    spline, y, system, stepper = beams(load=0.02, r_self=r_self)
     follow_load(system, stepper, atol=1e-10, rtol=0.0)
     x = spline.node_positions + spline.nodal(y)
     upper = spline.node_positions[:, 1] > GAP / 2

@@ -22,11 +22,13 @@ class NodalQuadrature:
             little less than zero, as a pole makes them, is taken from the other nodes of the same cells instead.
         rational: weights w_A of the spline at the nodes, shape (nodes,); a physical value is u^h_A / w_A, and a point
             force f enters row A of the homogeneous residual as f / w_A.
+        cells: points of every cell of the surface, shape (cells, points per cell); None: no surface is known.
     """
 
     points: FloatArray
     weights: FloatArray
     rational: FloatArray
+    cells: IntArray | None = None
 
     @classmethod
     def of(cls, spline: ExtractedSpline) -> "NodalQuadrature":
@@ -48,7 +50,8 @@ class NodalQuadrature:
         if weights.min() < -NEGATIVE * weights.max():
             i = int(np.argmin(weights))
             raise ValueError(f"weights[{i}] = {weights[i]}: nodal weights >= 0 are required, which tensor cells give")
-        return cls(spline.node_positions, _spread(weights, compat.cell_dofs(spline.scalar.V)), spline.node_weights)
+        cells = compat.cell_dofs(spline.scalar.V)
+        return cls(spline.node_positions, _spread(weights, cells), spline.node_weights, cells)
 
 
 def _spread(weights: FloatArray, cells: IntArray) -> FloatArray:
