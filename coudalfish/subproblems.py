@@ -203,7 +203,7 @@ class FluidSubproblem:
     @property
     def linear_accuracy(self) -> float:
         """Residual that the linear solver leaves in a step by its own tolerance, 0 for a direct one; unit: force."""
-        return float(self.system.recipe.options.get("ksp_rtol", 0.0)) * self._reference
+        return self.system.recipe.rtol * self._reference
 
     def speed(self) -> float:
         """Largest nodal speed on any rank; unit: length/time."""
