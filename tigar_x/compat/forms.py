@@ -15,6 +15,7 @@ import ufl
 import ufl.sorting
 from dolfinx import fem
 
+from tigar_x.compat.jit import safe_cache
 from tigar_x.compat.release import VERSION
 
 # UFL, up to 2026.1 at least, orders Constants by their printed count, so that 100 comes before 99 and the cache key of
@@ -122,15 +123,19 @@ def compile_forms(*forms: ufl.Form) -> list[Any]:
 
 def _compile(form: ufl.Form) -> Any:
     start = time.perf_counter()
-    compiled = fem.form(form, **JIT)
     kinds = sorted({integral.integral_type() for integral in form.integrals()})
+    names = sorted(coefficient.name for coefficient in form.coefficients())
+    noun = ("functional", "residual", "tangent")[len(form.arguments())]
+    functions = f" of {', '.join(dict.fromkeys(names))}" if names else ""
+    with safe_cache(f"a {noun}{functions} ({', '.join(kinds)} integrals)"):
+        compiled = fem.form(form, **JIT)
     _compiled.append(
         CompiledForm(
             len(form.arguments()),
             compiled.mesh.topology.cell_type.name,
             int(compiled.mesh.geometry.dim),
             tuple(kinds),
-            tuple(sorted(coefficient.name for coefficient in form.coefficients())),
+            tuple(names),
             len(form.constants()),
             time.perf_counter() - start,
         )

@@ -10,6 +10,7 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from tigar_x.compat.forms import JIT, compiling
+from tigar_x.compat.jit import safe_cache
 from tigar_x.compat.meshes import cell_name, is_simplex, owned_cells
 from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
 
@@ -25,7 +26,7 @@ if VERSION < (0, 9):
         return ufl.MixedElement(elements)
 
     def _function_space(domain: mesh.Mesh, element: Any) -> fem.FunctionSpace:
-        with compiling():
+        with compiling(), safe_cache(f"the element {element}"):
             return fem.FunctionSpace(domain, element, **JIT)
 
     def _scalar_element(space: fem.FunctionSpace) -> Any:
@@ -221,7 +222,7 @@ class Interpolation:
                 here = fem.Constant(space.mesh, 0.0) * ufl.SpatialCoordinate(space.mesh)[0]
                 shape = expression.ufl_shape
                 expression = expression + (ufl.as_vector([here] * shape[0]) if shape else here)
-            with compiling():
+            with compiling(), safe_cache(f"an expression at the nodes of {function.name}"):
                 self._compiled = fem.Expression(expression, node_points(space), **JIT)
         else:
             shape = expression.ufl_shape
