@@ -19,9 +19,9 @@ def outside():
     return {key: value for key, value in os.environ.items() if not key.startswith(mine)} | {"OMP_NUM_THREADS": "1"}
 
 
-def mpirun(ranks, *arguments):
+def mpirun(ranks, *arguments, timeout=2400):
     """Run this interpreter with arguments on a number of ranks; the finished process with its output."""
     env = outside() | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     oversubscribe = ["--oversubscribe"] if "Open MPI" in MPI.Get_library_version() else []
     command = [MPIRUN, "-n", str(ranks), *oversubscribe, sys.executable, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT, timeout=2400)
+    return subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT, timeout=timeout)

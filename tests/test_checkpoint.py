@@ -15,8 +15,8 @@ from splines import WORLD, quarter
 from tigar_x import checkpoint, compat
 from tigar_x.checkpoint import Checkpoints
 from tigar_x.nodal import Nodes, difference, fingerprint
-from tigar_x.output import on_root
 from tigar_x.spline import ExtractedSpline
+from tigar_x.writing import on_root
 
 SELF = MPI.COMM_SELF
 

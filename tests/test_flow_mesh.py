@@ -9,9 +9,10 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from tigar_x import compat
+from tigar_x.writing import on_root
 from varmint import mesh_elements, mesh_files
 from varmint.mesh import CELLS, NamedMesh, box, grid, named
-from varmint.mesh_arrays import checked, distributed, from_arrays, on_root
+from varmint.mesh_arrays import checked, distributed, from_arrays
 from varmint.mesh_checks import FACETS, MeshArrays, checked_arrays, extruded
 from varmint.mesh_elements import Block, Elements
 from varmint.mesh_files import read
@@ -490,21 +491,6 @@ def test_only_linear_meshes_that_fill_space_are_checked(monkeypatch):
     monkeypatch.setattr(compat, "cell_nodes", lambda domain: np.zeros((0, 6), dtype=np.int32))
     with pytest.raises(ValueError, match="domain has curved cells: cells of degree 1 are required"):
         checked(mesh.create_unit_square(COMM, 2, 2))
-
-
-@pytest.mark.mpi
-def test_what_fails_on_rank_0_fails_on_all():
-    class OddError(Exception):
-        """Cannot be sent to another rank."""
-
-    def fail(error):
-        raise error
-
-    assert on_root(COMM, lambda: COMM.rank) == (0 if COMM.rank == 0 else None)
-    with pytest.raises(KeyError, match="missing"):
-        on_root(COMM, lambda: fail(KeyError("missing")))
-    with pytest.raises(OddError if COMM.rank == 0 else RuntimeError, match="strange"):
-        on_root(COMM, lambda: fail(OddError("strange")))
 
 
 def test_facets_of_the_reference_cells_are_those_of_basix():

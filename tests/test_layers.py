@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("tigar_x", "shnapr", "varmint", "coudalfish")
-GROUND = {"compat", "checks", "linear", "solve", "time_integration", "output", "script", "line_search"}
+GROUND = {"compat", "checks", "linear", "solve", "time_integration", "output", "script", "line_search", "writing"}
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).glob("**/*.py"))
 HEAVY = ("gmsh", "meshio", "matplotlib", "splipy", "h5py", "slepc4py")
 

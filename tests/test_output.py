@@ -1,7 +1,6 @@
 """What the series leave on disk, read back by other libraries."""
 
 import csv
-import os
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -12,7 +11,7 @@ from splines import WORLD, spline
 
 from tigar_x import compat
 from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries, replace_text
+from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
 from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
 
@@ -315,24 +314,3 @@ def test_csv_is_closed_when_the_run_fails(tmp_path):
     with pytest.raises(RuntimeError, match="the run failed"):
         run()
     assert (tmp_path / "tip.csv").read_text().splitlines() == ["t,F", "0.0,1.0"]
-
-
-def test_text_is_replaced_as_a_whole(tmp_path, monkeypatch):
-    path = tmp_path / "summary.json"
-    replace_text(path, "old\n")
-    assert path.read_text() == "old\n"
-    with pytest.raises(UnicodeEncodeError):  # fails while it writes
-        replace_text(path, "new" * 10**5 + "\udc80")
-    assert path.read_text() == "old\n"
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            replace_text(path, "new\n")
-    assert path.read_text() == "old\n"
-    replace_text(path, "new\n")
-    assert path.read_text() == "new\n"
-    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]

@@ -78,8 +78,7 @@ def test_round_trip(name, folder):
 @pytest.mark.parametrize("name", MODELS)
 def test_a_file_of_one_rank_is_read_on_all_and_the_other_way_round(name, folder):
     expected = solution(model(name, MPI.COMM_SELF))
-    if WORLD.rank == 0:
-        save_extraction(folder / "alone.npz", model(name, MPI.COMM_SELF))
+    save_extraction(folder / "alone.npz", model(name, MPI.COMM_SELF))
     save_extraction(folder / "together.npz", model(name))
     WORLD.barrier()
     np.testing.assert_allclose(solution(load_extraction(folder / "alone.npz")), expected, rtol=0, atol=1e-12)

@@ -19,8 +19,8 @@ from dolfinx import fem
 
 from tigar_x import checks
 from tigar_x.nodal import Layout, difference, fingerprint
-from tigar_x.output import on_root, replace_bytes
 from tigar_x.script import plain
+from tigar_x.writing import on_root, replace_bytes
 
 log = logging.getLogger(__name__)
 
@@ -123,7 +123,6 @@ class Checkpoints:
             arrays |= {f"values/{name}/{i}": part for i, part in enumerate(parts)}
         buffer = io.BytesIO()
         np.savez(buffer, digest=np.array(_digest(arrays)), **arrays)
-        self.folder.mkdir(parents=True, exist_ok=True)
         replace_bytes(path, buffer.getvalue())
         numbers = self.numbers()
         for other in {*numbers[: numbers.index(number)], *numbers[numbers.index(number) + self.keep :]}:

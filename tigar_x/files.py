@@ -15,8 +15,8 @@ from mpi4py import MPI
 
 from tigar_x import checks
 from tigar_x.bspline import BSplineBasis
-from tigar_x.output import replace_text
 from tigar_x.patch import Patch
+from tigar_x.writing import on_root, replace_text
 
 
 def read_patch(path: Path | str) -> Patch:
@@ -86,7 +86,7 @@ def read_patches(prefix: Path | str, suffix: str, count: int | None = None) -> t
 
 
 def write_patch(path: Path | str, patch: Patch) -> None:
-    """Write a patch with 17 digits, at once or not at all; names of sides are not kept. Only rank 0 writes.
+    """Write a patch with 17 digits, at once or not at all; names of sides are not kept (collective; rank 0 writes).
 
     Args:
         path: file name; its folder is made.
@@ -94,6 +94,7 @@ def write_patch(path: Path | str, patch: Patch) -> None:
 
     Raises:
         ValueError: the patch is periodic.
+        OSError: on all ranks: the file cannot be written.
     """
     if any(basis.periodic for basis in patch.bases):
         raise ValueError("patch is periodic: one that is open in every direction is required")
@@ -101,9 +102,7 @@ def write_patch(path: Path | str, patch: Patch) -> None:
     numbers = [*(basis.knots for basis in patch.bases), *np.column_stack([patch.points, patch.weights])]
     lines = [" ".join(str(k) for k in row) for row in header]
     lines += [" ".join(f"{x:.17g}" for x in row) for row in numbers]
-    if MPI.COMM_WORLD.rank == 0:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        replace_text(Path(path), "\n".join(lines) + "\n")
+    on_root(MPI.COMM_WORLD, lambda: replace_text(Path(path), "\n".join(lines) + "\n"))
 
 
 class _Lines:

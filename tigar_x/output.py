@@ -1,17 +1,16 @@
 """Time series on disk: fields on a mesh as XDMF, splines in physical space as VTU with a PVD index, histories as CSV.
 
-Every series is a context manager with one verb, ``write(t)``.
+Every series is a context manager with one verb, ``write(t)``. Rank 0 writes, but for HDF5's parts, and all ranks raise
+what goes wrong there: making, writing and closing are collective on ``MPI.COMM_WORLD``.
 """
 
 import csv
-import os
-import pickle
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 from mpi4py import MPI
@@ -19,12 +18,11 @@ from dolfinx import fem, io, mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
+from tigar_x.writing import all_come, on_root, replace_text, together
 
 if TYPE_CHECKING:
     from tigar_x.spline import ExtractedSpline
 
-
-T = TypeVar("T")
 
 SLACK = 1e-9
 """By which a time on disk may differ from the same time of the clock, relative to it."""
@@ -34,15 +32,33 @@ def _is_later(t: float, after: float) -> bool:
     return t > after + SLACK * abs(after)
 
 
+def _check_writable(*paths: Path) -> None:
+    """Raise OSError where a file cannot be written, before work is lost; folders are made, what is there stays."""
+    for path in paths:
+        there = path.exists()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "ab"):
+            pass
+        if not there:
+            path.unlink()
+
+
 class _Series:
     def close(self) -> None:
-        """Finish the files."""
+        """Finish the files (collective)."""
+
+    def _abandon(self) -> None:
+        """Let go of the files after an error, which may have come to this rank alone: wait for no other."""
 
     def __enter__(self) -> Any:
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+        if error is None:
+            self.close()
+        else:
+            with suppress(Exception):
+                self._abandon()
 
 
 class XDMFSeries(_Series):
@@ -52,16 +68,18 @@ class XDMFSeries(_Series):
         path: file name ending in ``.xdmf``; its folder is made.
         domain: mesh.
         fields: for every name a function and the components to write, such as ``velocity=(w, (0, 1))``.
+
+    Raises:
+        OSError: on all ranks: the files cannot be made.
     """
 
     def __init__(self, path: Path | str, domain: mesh.Mesh, **fields: tuple[fem.Function, Sequence[int]]) -> None:
         target = Path(path)
-        if domain.comm.rank == 0:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        domain.comm.barrier()
+        on_root(domain.comm, lambda: _check_writable(target, target.with_suffix(".h5")))
         self._copies = [self._prepare(domain, name, *field) for name, field in fields.items()]
-        self._file = io.XDMFFile(domain.comm, str(target), "w")
-        self._file.write_mesh(domain)
+        self._comm = domain.comm.Dup()
+        self._file = together(self._comm, lambda: io.XDMFFile(domain.comm, str(target), "w"))
+        together(self._comm, lambda: self._file.write_mesh(domain))
 
     @staticmethod
     def _prepare(domain: mesh.Mesh, name: str, source: fem.Function, components: Sequence[int]) -> Any:
@@ -80,30 +98,35 @@ class XDMFSeries(_Series):
         for source, target, pairs in self._copies:
             for to, origin in pairs:
                 target.x.array[to] = source.x.array[origin]
-            self._file.write_function(target, t)
+            together(self._comm, lambda f=target: self._file.write_function(f, t))  # type: ignore[misc]
 
     def close(self) -> None:
         """Finish the file."""
-        self._file.close()
+        together(self._comm, self._file.close)
+
+    def _abandon(self) -> None:
+        if all_come(self._comm):
+            self._file.close()
 
 
 class VTUSeries(_Series):
     """A deformed spline in physical space: numbered VTU files and one PVD index that ParaView opens.
 
-    Bezier elements are drawn as linear cells between neighbouring nodes. Rank 0 gathers and writes (collective on the
-    spline's communicator).
+    Bezier elements are drawn as linear cells between neighbouring nodes. Rank 0 gathers and writes (collective on all
+    ranks, also for a spline that every rank has whole).
 
     Args:
         path: path without ending; its folder is made.
         spline: curve, surface or volume of one or several patches.
         y: homogeneous displacement; None: the reference configuration.
         after: time from which a run goes on: files of an earlier series are kept up to then, and those that are later
-            are deleted (collective on all ranks); None: a new series.
+            are deleted; None: a new series.
         fields: point data by name: a homogeneous isoparametric function of any number of components, or a callable
             that returns physical values at this rank's nodes, shape (nodes,) or (nodes, components).
 
     Raises:
         ValueError: the index of the earlier series cannot be read.
+        OSError: on all ranks, also by :meth:`write`: a file cannot be written.
     """
 
     def __init__(
@@ -125,14 +148,11 @@ class VTUSeries(_Series):
         self._cells = self._gather(cells + sum(counts[: self._comm.rank]))
         self._index = self._path.with_name(self._path.name + ".pvd")
         self._entries: list[tuple[float, str]] = []
-        self._writes = MPI.COMM_WORLD.rank == 0
-        if self._writes:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-        if after is not None:
-            on_root(MPI.COMM_WORLD, lambda: self._continue(after))
+        on_root(MPI.COMM_WORLD, lambda: self._begin(after))
 
-    def _continue(self, after: float) -> None:
-        if not self._index.exists():
+    def _begin(self, after: float | None) -> None:
+        _check_writable(self._index)
+        if after is None or not self._index.exists():
             return
         try:
             found = [(float(e.attrib["timestep"]), e.attrib["file"]) for e in ET.parse(self._index).iter("DataSet")]
@@ -167,8 +187,9 @@ class VTUSeries(_Series):
             points = points + data["displacement"]
         data.update({name: self._values(field) for name, field in self._fields.items()})
         points, data = self._gather(points), {name: self._gather(values) for name, values in data.items()}
-        if not self._writes:
-            return
+        on_root(MPI.COMM_WORLD, lambda: self._put(t, points, data))
+
+    def _put(self, t: float, points: FloatArray, data: dict[str, FloatArray]) -> None:
         import meshio
 
         file = self._path.with_name(f"{self._path.name}_{len(self._entries):06d}.vtu")
@@ -185,31 +206,21 @@ class VTUSeries(_Series):
 
 
 class CSVSeries(_Series):
-    """A history as CSV, one row per step, flushed at once. Only rank 0 writes.
+    """A history as CSV, one row per step, flushed at once (collective on all ranks; rank 0 writes).
 
     Args:
         path: file name; its folder is made.
         columns: names of the columns after ``t``.
-        after: time from which a run goes on: rows of an earlier history are kept up to then (collective); None: a new
-            history.
+        after: time from which a run goes on: rows of an earlier history are kept up to then; None: a new history.
 
     Raises:
         ValueError: the earlier history has other columns.
+        OSError: on all ranks, also by :meth:`write`: the file cannot be written.
     """
 
     def __init__(self, path: Path | str, columns: Sequence[str], *, after: float | None = None) -> None:
         self._columns = tuple(columns)
-        self._file = None
-        target, header = Path(path), ["t", *self._columns]
-        if after is not None:
-            on_root(MPI.COMM_WORLD, lambda: _cut(target, header, after))
-        if MPI.COMM_WORLD.rank == 0:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            begins = after is None or not target.exists()
-            self._file = open(target, "w" if begins else "a", newline="")  # noqa: SIM115  (closed by close)
-            self._writer = csv.writer(self._file)
-            if begins:
-                self._writer.writerow(header)
+        self._file: Any = on_root(MPI.COMM_WORLD, lambda: _opened(Path(path), ["t", *self._columns], after))
 
     def write(self, t: float, *values: Any) -> None:
         """Append a row.
@@ -223,14 +234,32 @@ class CSVSeries(_Series):
         """
         if len(values) != len(self._columns):
             raise ValueError(f"values has {len(values)} entries: {len(self._columns)} are required {self._columns}")
-        if self._file is not None:
-            self._writer.writerow([t, *values])
-            self._file.flush()
+        on_root(MPI.COMM_WORLD, lambda: _append(self._file, [t, *values]))
 
     def close(self) -> None:
         """Finish the file."""
+        on_root(MPI.COMM_WORLD, self._abandon)
+
+    def _abandon(self) -> None:
         if self._file is not None:
             self._file.close()
+
+
+def _opened(path: Path, header: Sequence[str], after: float | None) -> TextIO:
+    """The file of a history that has its header, open for more rows."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if after is not None:
+        _cut(path, header, after)
+    begins = after is None or not path.exists()
+    file = open(path, "w" if begins else "a", newline="")  # noqa: SIM115  (closed by the series)
+    if begins:
+        _append(file, header)
+    return file
+
+
+def _append(file: TextIO, row: Sequence[Any]) -> None:
+    csv.writer(file).writerow(row)
+    file.flush()
 
 
 def _cut(path: Path, header: Sequence[str], after: float) -> None:
@@ -251,65 +280,3 @@ def _cut(path: Path, header: Sequence[str], after: float) -> None:
     except (IndexError, ValueError) as error:
         raise ValueError(f"{path}: not a history ({error})") from error
     replace_text(path, "".join(lines[:1] + kept))
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Write a text file so that a reader finds the old or the new content, never a part.
-
-    Args:
-        path: file name.
-        text: content.
-    """
-    replace_bytes(path, text.encode())
-
-
-def replace_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file so that a reader finds the old or the new content, never a part, whatever dies meanwhile.
-
-    Args:
-        path: file name.
-        content: content.
-
-    Raises:
-        OSError: it cannot be written; an old file stays as it was.
-    """
-    part = path.with_name(path.name + ".part")
-    try:
-        with open(part, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # not every file system can
-            os.fsync(folder)  # or the new name may be lost with the machine
-    finally:
-        os.close(folder)
-
-
-def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
-    """What a function returns on rank 0, None on the others; when it raises, all ranks raise the same.
-
-    Args:
-        comm: communicator.
-        work: function that only rank 0 calls.
-    """
-    result, failure = None, None
-    if comm.rank == 0:
-        try:
-            result = work()
-        except Exception as error:
-            failure = error
-    told = failure
-    try:
-        pickle.loads(pickle.dumps(told))
-    except Exception:
-        told = RuntimeError(f"{type(failure).__name__}: {failure}")
-    told = comm.bcast(told)
-    if told is not None:
-        raise failure or told
-    return result

@@ -22,9 +22,9 @@ from scipy.spatial import cKDTree
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.functions import Cells, ParametricCells
-from tigar_x.output import replace_bytes
 from tigar_x.patch import ControlNet
 from tigar_x.spline import ExtractedSpline
+from tigar_x.writing import on_root, replace_bytes, together
 
 FORMAT = 1
 """Version of the file's layout."""
@@ -152,13 +152,16 @@ class SavedGeometry(ControlNet):
 
 
 def save_extraction(path: Path | str, spline: ExtractedSpline) -> None:
-    """Save a spline, its mesh, extraction matrix, control points and conditions (collective).
+    """Save a spline, its mesh, extraction matrix, control points and conditions (collective; rank 0 writes).
 
     The file replaces an older one of its name at once or not at all.
 
     Args:
         path: file name; its folder is made.
         spline: the spline.
+
+    Raises:
+        OSError: on all ranks: it cannot be written.
     """
     comm, scalar = spline.mesh.comm, spline.vector
     owned = scalar.V.dofmap.index_map.size_local
@@ -166,8 +169,12 @@ def save_extraction(path: Path | str, spline: ExtractedSpline) -> None:
     nodes = spline.scalar.V.tabulate_dof_coordinates()[:owned, : spline.dim]
     first = sum(comm.allgather(owned)[: comm.rank])
     parts = comm.gather((nodes, rows.row + first, rows.col, rows.data))
-    if parts is None or MPI.COMM_WORLD.rank:
-        return
+    on_root(MPI.COMM_WORLD, lambda: replace_bytes(Path(path), _archive(spline, parts)))
+
+
+def _archive(spline: ExtractedSpline, parts: Any) -> bytes:
+    """Content of the file from the nodes and rows of all ranks."""
+    scalar = spline.vector
     coordinates, i, j, values = (np.concatenate([part[c] for part in parts]) for c in range(4))
     functions = spline.geometry.functions
     elements = functions.cells(spline.cells)
@@ -197,13 +204,11 @@ def save_extraction(path: Path | str, spline: ExtractedSpline) -> None:
         constraint_column=constraints.col,
         constraint_value=constraints.data,
     )
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    replace_bytes(target, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def load_extraction(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD) -> ExtractedSpline:
-    """Read a saved extraction back, on any number of ranks.
+    """Read a saved extraction back, on any number of ranks (collective).
 
     Args:
         path: file of :func:`save_extraction`.
@@ -216,7 +221,7 @@ def load_extraction(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD) -> Extrac
         FileNotFoundError: there is no such file.
         ValueError: the file is truncated, malformed or of another format; the message names it.
     """
-    data = _read(Path(path))
+    data = together(comm, lambda: _read(Path(path)))
     record = json.loads(str(data["record"]))
     if record.get("format") != FORMAT:
         raise ValueError(f"{path}: format {record.get('format')!r} was found, {FORMAT} is required")

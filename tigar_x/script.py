@@ -1,6 +1,7 @@
 """What a script needs around a run: its command line, its log, a progress bar, costs and a summary."""
 
 import argparse
+import functools
 import inspect
 import json
 import logging
@@ -26,13 +27,15 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat
-from tigar_x.output import replace_text
+from tigar_x.writing import on_root, replace_text, together
 
 log = logging.getLogger(__name__)
 
 
 def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -> Any:
     """Run ``main`` with the options of the command line; its signature says which there are.
+
+    What ``main`` raises on one of several ranks ends them all, see :func:`abort_on_error`.
 
     Parameters become ``--options`` with their default and annotation (int, float, str, bool, Path, Literal, optional
     ones of these); help is taken from the ``Args`` section of its docstring. A boolean gets a ``--no-`` form.
@@ -61,7 +64,28 @@ def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -
             options["type"] = hint
         parser.add_argument("--" + name.replace("_", "-"), **options)
     set_up_logging()
+    abort_on_error()
     return main(**vars(parser.parse_args(arguments)))
+
+
+def abort_on_error() -> None:
+    """Let an exception that nobody catches end all ranks, after its traceback; the others would wait for ever.
+
+    A run on one rank ends as always.
+    """
+    if MPI.COMM_WORLD.size > 1:
+        sys.excepthook = functools.partial(_abort, sys.excepthook)
+
+
+def _abort(show: Callable[..., Any], kind: type[BaseException], error: BaseException, trace: Any) -> None:
+    try:
+        show(kind, error, trace)
+        log.error("rank %d of %d ends the run: %s", MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size, kind.__name__)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        time.sleep(0.5)  # others may have something to say as well
+    finally:
+        MPI.COMM_WORLD.Abort(1)
 
 
 def _help(doc: str, name: str) -> str:
@@ -268,7 +292,7 @@ def plain(value: Any) -> Any:
 
 
 def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) -> dict[str, Any]:
-    """Write ``summary.json`` of a demo; costs of the process and versions are added.
+    """Write ``summary.json`` of a demo; costs of the process and versions are added (collective; rank 0 writes).
 
     Args:
         out: folder of the results; made if missing.
@@ -280,7 +304,8 @@ def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) 
         The summary.
 
     Raises:
-        ValueError: a result is not finite.
+        ValueError: on all ranks: a result is not finite.
+        OSError: on all ranks: the file cannot be written.
     """
     known = {key: value for key, value in results.items() if value is not None}
     summary = plain(
@@ -293,10 +318,8 @@ def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) 
             "versions": versions(),
         }
     )
-    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-    if MPI.COMM_WORLD.rank == 0:
-        out.mkdir(parents=True, exist_ok=True)
-        replace_text(out / "summary.json", text)
+    text = together(MPI.COMM_WORLD, lambda: json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    on_root(MPI.COMM_WORLD, lambda: replace_text(out / "summary.json", text))
     return dict(summary)
 
 

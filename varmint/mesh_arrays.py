@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
-from tigar_x.output import on_root
+from tigar_x.writing import on_root
 from varmint.mesh import SIDES, NamedMesh, named, tagged
 from varmint.mesh_checks import DIMENSIONS, VERTICES, MeshArrays, checked_arrays, number_rows
 
