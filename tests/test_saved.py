@@ -17,6 +17,7 @@ from tigar_x.patch import Patch
 from tigar_x.saved import load_extraction, save_extraction
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.writing import on_root
 
 pytestmark = pytest.mark.mpi
 
@@ -132,13 +133,12 @@ def spoil(path, how):
     ],
 )
 def test_damaged_files_are_named(how, message, tmp_path):
-    path = tmp_path / "shell.npz"
-    spline = model("arc", MPI.COMM_SELF)
-    if WORLD.rank == 0:
-        save_extraction(path, spline)
-        spoil(path, how)
+    path = WORLD.bcast(tmp_path) / "shell.npz"
+    save_extraction(path, model("arc", MPI.COMM_SELF))
+    on_root(WORLD, lambda: spoil(path, how))
+    for comm in (MPI.COMM_SELF, WORLD):
         with pytest.raises(ValueError, match=message) as error:
-            load_extraction(path, MPI.COMM_SELF)
+            load_extraction(path, comm)
         assert str(path) in str(error.value)
 
 
