@@ -10,6 +10,10 @@ MARKED = 1e-8
 """A vertex is marked when its basis function exceeds this at an immersed point."""
 
 
+class BandScale(fem.Function):
+    """A field that a band keeps up to date; a residual that has one needs its band."""
+
+
 class SurfaceBand:
     """Two cell-wise fields that the fluid's form may use; the coupler rebuilds them every step.
 
@@ -25,8 +29,8 @@ class SurfaceBand:
 
     def __init__(self, mesh_f: mesh.Mesh) -> None:
         cells = compat.lagrange_space(mesh_f, 0)
-        self.scale_m = fem.Function(cells, name="scale_m")
-        self.scale_c = fem.Function(cells, name="scale_c")
+        self.scale_m = BandScale(cells, name="scale_m")
+        self.scale_c = BandScale(cells, name="scale_c")
         self._cell_dof = compat.cell_dofs(cells)[:, 0]
         vertices = compat.lagrange_space(mesh_f, 1)
         self._vertex_dofs = compat.cell_dofs(vertices)

@@ -7,6 +7,7 @@ fluid and shell (Kamensky, doi:10.1016/j.camwa.2020.01.023).
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from coudalfish.report import RejectedStepError, StepError, StepReport
 from coudalfish.step import Step
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import PointLocator
+from coudalfish.watch import Watch
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.linear import SolveError
@@ -42,6 +44,7 @@ class CouDALFISh:
         contactContext_sh: the shell's contact; None: no contact.
         locator: finds the immersed points in the fluid mesh.
         floors: residuals (fluid, shell) below which the last step had nothing left to solve for; unit: force.
+        watch: what is out of its limits.
         lam: multiplier at the immersed points, force of the fluid on the shell along its normal, shape (points,).
 
     Raises:
@@ -70,6 +73,7 @@ class CouDALFISh:
         checks.array("multiplier", self.lam, (len(points),))
         self.locator = PointLocator(fluid.mesh)
         self.floors: tuple[float, float] | None = None
+        self.watch = Watch(fluid, shell)
         self._warned: set[str] = set()
 
     def _check(self) -> None:
@@ -118,8 +122,11 @@ class CouDALFISh:
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
-    def takeStep(self) -> StepReport:
+    def takeStep(self, measure: Callable[[], Any] | None = None) -> StepReport:
         """Advance fluid and shell by one time step.
+
+        Args:
+            measure: called with the new state before the clocks move; what it returns is in the report.
 
         Returns:
             The report.
@@ -130,6 +137,8 @@ class CouDALFISh:
         restore = self._save()
         try:
             report = self._attempt(restore)
+            if measure is not None:
+                report = replace(report, measured=measure())
         except BaseException:
             restore()
             raise
@@ -163,6 +172,8 @@ class CouDALFISh:
             for array, value in zip(fields, saved, strict=True):
                 array[:] = value
             self.lam = lam
+            for integrator in self.integrators:
+                integrator.in_step = False
 
         return restore
 
@@ -174,13 +185,16 @@ class CouDALFISh:
                 log.warning(message, *numbers)
 
 
-def advance(fsi: CouDALFISh, interval: float, *, halvings: int = 6) -> list[StepReport]:
+def advance(
+    fsi: CouDALFISh, interval: float, *, halvings: int = 6, measure: Callable[[], Any] | None = None
+) -> list[StepReport]:
     """Advance by an interval in one step or, where steps fail, in smaller ones.
 
     Args:
         fsi: what is coupled; its step size is ``interval`` afterwards.
         interval: time to advance by; unit: time.
         halvings: how often the step may be halved.
+        measure: see :meth:`CouDALFISh.takeStep`; called in every step.
 
     Returns:
         The reports of the steps, one if none failed.
@@ -195,7 +209,7 @@ def advance(fsi: CouDALFISh, interval: float, *, halvings: int = 6) -> list[Step
         while end - fsi.timeInt_f.time > 1e-9 * interval:
             fsi.step_size = min(dt, end - fsi.timeInt_f.time)
             try:
-                reports.append(fsi.takeStep())
+                reports.append(fsi.takeStep(measure))
             except StepError as error:
                 if dt / 2 < 0.999 * smallest:
                     raise

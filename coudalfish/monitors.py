@@ -9,7 +9,7 @@ from tigar_x.compat import FloatArray
 
 @dataclass(frozen=True)
 class Monitors:
-    """Figures of one accepted step.
+    """Figures of one accepted step, at the time ``t_alpha`` of its report.
 
     Attributes:
         normal_slip_rms: root mean square of (u - y').n over the active surface; unit: length/time.

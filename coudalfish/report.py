@@ -1,6 +1,7 @@
 """What a step reports, and how it fails."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from coudalfish.monitors import Monitors
 
@@ -29,7 +30,8 @@ class StepReport:
     """What a step did.
 
     Attributes:
-        t: time at its end.
+        t: time at its end, to which velocities and displacements belong.
+        t_alpha: time at which the equations hold, to which pressures, multiplier, slip, forces and contact belong.
         attempts: 1, or 2 when the step converged only under-relaxed.
         passes: block passes of the last attempt, each one solve of the fluid and one of the shell.
         residuals: norms (fluid, shell) of every test; unit: force.
@@ -39,9 +41,11 @@ class StepReport:
         slip_ratio: ``max|lam| dt/(beta h)``.
         monitors: slip, leak and balance; None when the step failed.
         contact: None when the step failed or the shell has no contact.
+        measured: what the step's ``measure`` returned.
     """
 
     t: float
+    t_alpha: float
     attempts: int
     passes: int
     residuals: tuple[tuple[float, float], ...]
@@ -51,6 +55,7 @@ class StepReport:
     slip_ratio: float
     monitors: Monitors | None
     contact: ContactReport | None = None
+    measured: Any = None
 
 
 class StepError(RuntimeError):

@@ -16,26 +16,14 @@ from coudalfish.acceptance import Acceptance
 from coudalfish.mesh_motion import MeshMotion, displacement_of_cells
 from coudalfish.monitors import Monitors, measure
 from coudalfish.report import ContactReport, RejectedStepError, StepError, StepReport
-from coudalfish.trace import Location, trace_matrix
+from coudalfish.trace import trace_matrix
 from tigar_x.compat import FloatArray
 
 if TYPE_CHECKING:
     from coudalfish.coupler import CouDALFISh
 
-SLIP_LIMIT = 0.3
-"""Largest slip per load change relative to the fluid's cells, lam dt/(beta h), before a warning."""
-SPACING_LIMIT = 0.75
-"""Largest distance of immersed points relative to the fluid's cells before a warning."""
-PENALTY_LIMIT = 100.0
-"""Largest penalty relative to the impedance of the flow at which block iteration converges well."""
 UNDER_RELAXATION = 0.5
 """Share of the shell's increments that a cautious attempt takes."""
-TIME_STEP_LIMIT = 1e-3
-"""Smallest time step relative to the scales of the fluid's cells, dt (|u|/h + nu/h^2), before a warning."""
-CLOSING_LIMIT = 0.3
-"""Largest approach of two points in a step relative to the range of contact before a warning."""
-COURANT_LIMIT = 0.5
-"""Largest displacement per step relative to the fluid's cells that explicit geometry bears well."""
 
 
 class Step:
@@ -100,7 +88,7 @@ class Step:
         x = self.shell.positions()
         if not np.isfinite(x).all():
             raise RejectedStepError("shell", "the predicted positions are not finite")
-        location: Location = self.c.locator.locate(x)
+        location = self.location = self.c.locator.locate(x)
         self.active = location.active
         self.inactive = int((~location.active).sum())
         self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
@@ -111,16 +99,7 @@ class Step:
         if self.fluid.band is not None:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
-        self.spacing = self.shell.spacing(x)
-        if self.spacing > SPACING_LIMIT * self.fluid.mesh_size:
-            self.c.warn_once(
-                "spacing",
-                "immersed points are up to %.3g apart, %.2f times the fluid's cell size: the surface may leak "
-                "(at most %g times is advised)",
-                self.spacing,
-                self.spacing / self.fluid.mesh_size,
-                SPACING_LIMIT,
-            )
+        self.c.watch.placed(self, x)
 
     # -- block iteration ----------------------------------------------------------------------------------------------
 
@@ -237,65 +216,23 @@ class Step:
         monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
         self.c.lam = lam
         report = self.report(monitors, self._contact())
-        self._warn_of_small_step()
-        if report.slip_ratio > SLIP_LIMIT:
-            self.c.warn_once(
-                "slip",
-                "slip ratio lam dt/(beta h) = %.3g exceeds %g: a load change moves the fluid through the shell by that "
-                "part of a cell; raise the penalty (beta = %.3g) or reduce dt",
-                report.slip_ratio,
-                SLIP_LIMIT,
-                self.beta,
-            )
+        self.c.watch.finished(self, report)
         return report
 
     def _contact(self) -> ContactReport | None:
-        contact = self.shell.contact
-        if contact is None:
+        if self.shell.contact is None:
             return None
         closing = self.shell.closing_ratio()
-        if closing > CLOSING_LIMIT:
-            self.c.warn_once(
-                "closing",
-                "points approach each other by %.3g of the range of contact in a step: surfaces may pass each other "
-                "(at most %g is advised; reduce dt)",
-                closing,
-                CLOSING_LIMIT,
-            )
-        if contact.spacing_ratio > SPACING_LIMIT:
-            self.c.warn_once(
-                "contact spacing",
-                "points are up to %.3g times the range of contact apart: surfaces may pass between them (at most %g is "
-                "advised; refine the shell or raise r_max)",
-                contact.spacing_ratio,
-                SPACING_LIMIT,
-            )
         found = self.shell.touching
         if found is None:
             return ContactReport(0, 0.0, 0.0, math.inf, closing)
         return ContactReport(found.pairs, found.load, found.energy, found.distance, closing)
 
-    def _warn_of_small_step(self) -> None:
-        if self.fluid.density is None or self.fluid.viscosity is None:
-            return
-        h = self.fluid.mesh_size
-        viscous = self.dt * self.fluid.viscosity / (self.fluid.density * h**2)
-        if viscous >= TIME_STEP_LIMIT:
-            return
-        scale = viscous + self.dt * self.fluid.speed() / h
-        if scale < TIME_STEP_LIMIT:
-            self.c.warn_once(
-                "time step",
-                "dt (|u|/h + nu/h^2) = %.3g is below %g: the stabilisation vanishes with dt and the pressure may "
-                "oscillate; raise dt or refine the fluid mesh",
-                scale,
-                TIME_STEP_LIMIT,
-            )
-
     def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
         """What has been done so far."""
         return StepReport(
             t=self.c.timeInt_f.time + self.dt,
+            t_alpha=float(self.c.timeInt_f.t_alpha.value),
             attempts=2 if self.cautious else 1,
             passes=self.passes,
             residuals=tuple(self.acceptance.history),
@@ -310,42 +247,7 @@ class Step:
     def failure(self, error: Exception) -> StepError:
         """The error that tells the user which block failed, why, and which number is suspect."""
         block = error.block if isinstance(error, RejectedStepError) else self.block
-        suspect, touching = self.suspect(), self.shell.touching
+        suspect, touching = self.c.watch.suspect(self), self.shell.touching
         if block == "shell" and touching is not None:
             suspect += f"; {touching.pairs} pairs touch: reduce dt or smooth the kernel of contact"
         return StepError(block, str(error), suspect, self.report(None))
-
-    def suspect(self) -> str:
-        """The number that exceeds its advised limit most, or a statement that none does."""
-        if self.block == "mesh":
-            return "the motion of the mesh in this step (reduce dt)"
-        h = self.fluid.mesh_size
-        speed = self.fluid.speed()
-        points = len(self.c.lam)
-        numbers = {
-            "slip ratio lam dt/(beta h) (raise the penalty beta)": (self.report(None).slip_ratio, SLIP_LIMIT),
-            "Courant number |u| dt/h (reduce dt)": (speed * self.dt / h, COURANT_LIMIT),
-            "point spacing/h (refine the shell)": (self.spacing / h, SPACING_LIMIT),
-            "fraction of points outside the fluid mesh": (self.inactive / points, 0.5),
-        }
-        if self.shell.touching is not None:
-            closing = "approach of touching points in the step/range of contact (reduce dt or the contact's stiffness)"
-            numbers[closing] = (self.shell.closing_ratio(), CLOSING_LIMIT)
-        if self.acceptance.limits[0] > 0.0:
-            leftover = self.fluid.linear_accuracy / self.acceptance.limits[0]
-            numbers["linear solver's residual/accepted residual (tighten its rtol)"] = (leftover, 1.0)
-        if self.fluid.viscosity is not None and self.fluid.density is not None:
-            impedance = self.fluid.viscosity / h + self.fluid.density * h / self.dt
-            numbers["penalty/impedance of the flow, beta/(mu/h + rho h/dt) (lower the penalty beta)"] = (
-                self.beta / impedance,
-                PENALTY_LIMIT,
-            )
-        broken = [name for name, (value, _) in numbers.items() if not math.isfinite(value)]
-        if broken:
-            return f"{broken[0]} is not finite"
-        name, (value, limit) = max(numbers.items(), key=lambda item: item[1][0] / item[1][1])
-        if value > limit:
-            return f"{name} = {value:.3g}, advised at most {limit:g}"
-        return (
-            f"penalty beta = {self.beta:.3g}; all other numbers are within limits, {name} = {value:.3g} comes nearest"
-        )

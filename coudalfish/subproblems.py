@@ -11,7 +11,9 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from coudalfish.band import SurfaceBand
+from coudalfish.handover import check_band, check_needs, check_residual
 from coudalfish.mesh_motion import MeshMotion, check_displacement
+from coudalfish.scales import largest_speed, median_size
 from coudalfish.trace import TraceMatrix
 from shnapr.contact import ContactForces, SelfContact
 from shnapr.contact_system import ContactSystem
@@ -55,7 +57,8 @@ class FluidSubproblem:
         moving: as given.
 
     Raises:
-        ValueError: the unknown has not d + 1 components, or points cannot be located in the mesh that moves.
+        ValueError: the unknown has not d + 1 components, points cannot be located in the mesh that moves, or something
+            that belongs to the residual was not handed over, see :mod:`coudalfish.handover`.
     """
 
     def __init__(
@@ -86,14 +89,17 @@ class FluidSubproblem:
         self.updates = tuple(updates)
         self.density = None if density is None else checks.positive("density", density)
         self.viscosity = None if viscosity is None else checks.not_negative("viscosity", viscosity)
-        d = mesh_f.geometry.dim
+        d, V = mesh_f.geometry.dim, timeInt_f.x.function_space
         if timeInt_f.x.ufl_shape != (d + 1,):
             raise ValueError(f"the fluid unknown has shape {timeInt_f.x.ufl_shape}: ({d + 1},) is required")
-        V = timeInt_f.x.function_space
+        check_residual(residual_f, timeInt_f, mesh_f)
+        check_band(residual_f, band)
+        hooks: Any = {"updates": updates, "before": before, "rank_one": rank_one, "bcs": bcs}
+        check_needs(timeInt_f, moving=moving, solver=solver, **hooks)
         components = [compat.component_space(V, i) for i in range(d)]
         self.velocity_space = components[0][0]
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])
-        self.mesh_size = self._median_size() if mesh_size is None else checks.positive("mesh_size", mesh_size)
+        self.mesh_size = median_size(mesh_f) if mesh_size is None else checks.positive("mesh_size", mesh_size)
 
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
         recipe = automatic(size * block, blocked=block > 1) if solver is None else solver
@@ -104,14 +110,7 @@ class FluidSubproblem:
         owned = self.system.b.getLocalSize()
         self._is_velocity = np.zeros(owned)
         self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
-        self._product = self.system.b.duplicate()
-        self._reference = 0.0
-
-    def _median_size(self) -> float:
-        x = compat.cell_vertices(self.mesh)[: compat.owned_cells(self.mesh)]
-        edges = x[:, :, None, :] - x[:, None, :, :]
-        lengths = np.linalg.norm(edges, axis=-1)[:, *np.triu_indices(x.shape[1], 1)]
-        return float(np.median(np.concatenate(self.comm.allgather(lengths.min(axis=1, initial=np.inf)))))
+        self._product, self._reference = self.system.b.duplicate(), 0.0
 
     def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""
@@ -206,9 +205,8 @@ class FluidSubproblem:
         return self.system.recipe.rtol * self._reference
 
     def speed(self) -> float:
-        """Largest nodal speed on any rank; unit: length/time."""
-        v = self.timeInt.x.x.array[self.velocity_dofs]
-        return float(self.comm.allreduce(np.sqrt((v**2).sum(axis=1)).max(initial=0.0), op=MPI.MAX))
+        """Largest nodal speed relative to the mesh on any rank (collective); unit: length/time."""
+        return largest_speed(self.timeInt, self.moving, self.velocity_space, self.velocity_dofs)
 
 
 class ShellSubproblem:
@@ -229,7 +227,7 @@ class ShellSubproblem:
         contact: as given.
 
     Raises:
-        ValueError: the spline is distributed.
+        ValueError: the spline is distributed, or the residual is not built from the integrator's expressions.
     """
 
     def __init__(
@@ -243,6 +241,7 @@ class ShellSubproblem:
         updates: Sequence[Callable[[float], None]] = (),
         contact: SelfContact | None = None,
     ) -> None:
+        check_residual(residual_sh, timeInt_sh, spline_sh.mesh)
         self.spline = spline_sh
         self.timeInt = timeInt_sh
         self.updates = tuple(updates)
@@ -258,8 +257,8 @@ class ShellSubproblem:
         _, cells = compat.subcells(spline_sh.V)
         self._edges = np.stack([cells, np.roll(cells, 1, axis=1)], axis=-1).reshape(-1, 2)
         self._projector = spline_sh.lumped_projector
-        normal = midsurface(spline_sh, spline_sh.rationalize(timeInt_sh.x_alpha)).normal
-        self._normal = self._projector.compile(normal)
+        displacement = spline_sh.rationalize(timeInt_sh.x_alpha)
+        self._normal = self._projector.compile(midsurface(spline_sh, displacement).normal)
 
     def _physical(self, array: FloatArray) -> FloatArray:
         return array.reshape(-1, self.spline.nsd) / self.quadrature.rational[:, None]
@@ -269,8 +268,9 @@ class ShellSubproblem:
         return self.quadrature.points + self._physical(self.timeInt.x_alpha_array())
 
     def velocity(self) -> FloatArray:
-        """Velocity y'_alpha of the points, shape (points, d)."""
-        return self._physical(self.timeInt.xdot_alpha_array())
+        """Velocity y'_alpha of the points, or that of the last state between steps, shape (points, d)."""
+        time = self.timeInt
+        return self._physical(time.xdot_alpha_array() if time.in_step else time.xdot_old.x.array)
 
     def normals(self) -> FloatArray:
         """Lumped projection of a_3 at the intermediate level, not renormalised, shape (points, d)."""

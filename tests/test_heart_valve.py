@@ -13,7 +13,7 @@ from load import load_demo
 from mpi_runs import mpirun
 
 from coudalfish import CouplingOptions
-from coudalfish.step import CLOSING_LIMIT
+from coudalfish.watch import CLOSING_LIMIT
 from tigar_x import surfaces
 
 demo = load_demo("heart_valve")

@@ -14,8 +14,8 @@ from mpi_runs import MPIRUN, mpirun
 from scenes import free_sheet, sheet_in_flow
 from test_solids import beam_flow
 
-from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepError, SurfaceBand
-from coudalfish.mesh_motion import displacement_of_cells
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepError, SurfaceBand, advance
+from coudalfish.mesh_motion import check_levels, displacement_of_cells
 from coudalfish.trace import PointLocator, trace_matrix
 from tigar_x import compat
 from tigar_x.linear import SolveError, direct
@@ -24,6 +24,7 @@ from varmint.conditions import WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
 from varmint.motion import ElasticMotion, PrescribedMotion
+from varmint.quantities import BoundaryForce
 
 COMM = MPI.COMM_WORLD
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
@@ -194,6 +195,38 @@ def test_a_solid_in_the_flow_moves_the_mesh_in_every_pass():
         u, expected = (f.moving.time.x.x.array for f in (flow, alone))
         np.testing.assert_allclose(u, expected, atol=1e-5 * np.abs(expected).max())
     assert np.abs(u).max() > 1e-5
+
+
+@pytest.mark.mpi
+def test_a_coupled_step_measures_what_the_step_of_its_flow_measures():
+    """With a sheet that is outside all along; before the clocks move, at the time of the equations."""
+    alone = scene(walls=stream).flow
+    fsi = scene(walls=stream, ends=((3.0, 0.0), (3.0, 1.0)))
+    expected, force = BoundaryForce(alone, *SIDES), BoundaryForce(fsi.flow, *SIDES)
+    for step in (fsi.takeStep, lambda measure: advance(fsi, DT, measure=measure)[0]):
+        own, report = alone.take_step(expected), step(force)
+        assert (report.t, report.t_alpha) == pytest.approx((own.t, own.t_alpha), rel=1e-14)
+        assert report.t - report.t_alpha == pytest.approx(DT / 3)
+        assert np.abs(own.measured).max() > 1e-3
+        np.testing.assert_allclose(report.measured, own.measured, atol=1e-6 * np.abs(own.measured).max())
+        with pytest.raises(RuntimeError, match="the force is asked for between steps"):
+            force()
+
+
+@pytest.mark.mpi
+def test_a_measure_that_fails_leaves_the_state_before_the_step():
+    fsi = scene(sheet_velocity=(0.5, 0.0))
+    before = state(fsi)
+
+    def fail():
+        assert fsi.timeInt_f.in_step
+        raise KeyError("measure")
+
+    with pytest.raises(KeyError, match="measure"):
+        fsi.takeStep(fail)
+    for old, new in zip(before, state(fsi), strict=True):
+        np.testing.assert_array_equal(old, new)
+    assert not any(time.in_step for time in fsi.integrators)
 
 
 def test_the_mesh_is_checked_before_and_after_the_passes(monkeypatch):
@@ -393,7 +426,15 @@ def test_one_step_size():
 def couple(fsi, moving):
     """The scene with another motion."""
     fluid = FluidSubproblem(
-        fsi.mesh_f, fsi.flow.residual, fsi.timeInt_f, bcs=fsi.flow.bcs, moving=moving, density=1.0, viscosity=0.1
+        fsi.mesh_f,
+        fsi.flow.residual,
+        fsi.timeInt_f,
+        bcs=fsi.flow.bcs,
+        updates=fsi.flow.updates,
+        band=fsi.fluid.band,
+        moving=moving,
+        density=1.0,
+        viscosity=0.1,
     )
     return CouDALFISh(fluid, fsi.shell)
 
@@ -405,14 +446,15 @@ def test_what_is_refused():
         couple(fsi, PrescribedMotion(mesh, bubble, DT, generalized_alpha(0.5), 2))
     with pytest.raises(ValueError, match="moving displaces another mesh"):
         couple(fsi, scene(prescribed(bubble)).fluid.moving)
-    with pytest.raises(ValueError, match=r"clocks \(t, dt\): fluid \(0.0, 0.1\), mesh \(0.0, 0.2\)"):
-        couple(fsi, PrescribedMotion(mesh, bubble, 0.2, generalized_alpha(0.5)))
-    late = PrescribedMotion(mesh, bubble, DT, generalized_alpha(0.5))
-    late.time.advance()
-    with pytest.raises(ValueError, match=r"clocks \(t, dt\).*must be equal"):
-        couple(fsi, late)
     with pytest.raises(ValueError, match=r"order, alpha_f of the mesh: 2, 1.0: 2 and the fluid's 0.666"):
-        couple(fsi, PrescribedMotion(mesh, bubble, DT, generalized_alpha(0.0)))
+        check_levels(PrescribedMotion(mesh, bubble, DT, generalized_alpha(0.0)), fsi.timeInt_f)
+    fsi.flow.moving.time.step_size = 0.2
+    with pytest.raises(ValueError, match=r"clocks \(t, dt\): fluid \(0.0, 0.1\), mesh \(0.0, 0.2\)"):
+        CouDALFISh(fsi.fluid, fsi.shell)
+    fsi.flow.moving.time.step_size = DT
+    fsi.flow.moving.time.advance()
+    with pytest.raises(ValueError, match=r"clocks \(t, dt\).*must be equal"):
+        couple(fsi, fsi.flow.moving)
     quads = box(COMM, (0.0, 0.0), (1.0, 1.0), (2, 2), "quadrilateral")
     with pytest.raises(ValueError, match="quadrilateral"):
         PointLocator(quads.domain)

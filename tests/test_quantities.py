@@ -260,14 +260,39 @@ def test_force_on_a_moving_mesh():
 
 
 @pytest.mark.mpi
-def test_force_of_a_step_belongs_to_the_level_of_its_equations():
-    """A lid that starts to move: before the clocks move the force differs from that after it."""
+def test_a_force_between_steps_is_refused_and_what_a_step_measures_is_that_of_its_equations():
+    """A lid that starts to move: the force before the clocks move, which it could not be recovered from after them."""
     flow = Flow(brick(), [Velocity(SIDES[:3]), Velocity("top", (1.0, 0.0))], rho=RHO, mu=MU, dt=0.1)
     force = BoundaryForce(flow, "top")
+    between = r"^the force is asked for between steps, at t = .*give it to the step as measure="
+    with pytest.raises(RuntimeError, match=between + ".*report.measured"):
+        force()
     flow.take_step()
-    measured = flow.take_step(force).measured
-    assert measured[0] < -0.1
-    assert abs(force()[0] - measured[0]) > 1e-3 * abs(measured[0])
+    with pytest.raises(RuntimeError, match=between):
+        force()
+    report = flow.take_step(force)
+    assert report.measured[0] < -0.1
+    with pytest.raises(RuntimeError, match=between):
+        force()
+
+    def fail():
+        raise KeyError("measure")
+
+    with pytest.raises(KeyError, match="measure"):
+        flow.take_step(fail)
+    with pytest.raises(RuntimeError, match=between):
+        force()
+
+
+@pytest.mark.mpi
+def test_a_step_tells_both_of_its_times_and_forces_belong_to_that_of_the_equations():
+    """A weight that grows with time, in a box at rest."""
+    flow = Flow(brick(), [Velocity(SIDES)], rho=RHO, mu=MU, dt=0.3, f=lambda x, t: ufl.as_vector([0 * x[0], -t]))
+    force = BoundaryForce(flow, *SIDES)
+    for n in range(2):
+        report = flow.take_step(force)
+        assert (report.t, report.t_alpha) == pytest.approx((0.3 * n + 0.3, 0.3 * n + 0.2), rel=1e-14)
+        np.testing.assert_allclose(report.measured, [0.0, -RHO * report.t_alpha], rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("names", [("bottom",), ("top", "left")])

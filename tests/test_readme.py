@@ -1,5 +1,6 @@
 """The README's example runs as printed, and its links lead somewhere."""
 
+import logging
 import re
 
 import numpy as np
@@ -20,8 +21,11 @@ def example(i, folder, monkeypatch):
     return names
 
 
-def test_a_coupled_run_bends_the_flap_with_the_flow(tmp_path, monkeypatch):
-    names = example(0, tmp_path, monkeypatch)
+def test_a_coupled_run_bends_the_flap_with_the_flow(tmp_path, monkeypatch, caplog):
+    """Without a warning, which would be of patterns of the multiplier that do no harm."""
+    with caplog.at_level(logging.WARNING, logger="coudalfish"):
+        names = example(0, tmp_path, monkeypatch)
+    assert not [record.getMessage() for record in caplog.records if record.name.startswith("coudalfish")]
     flap, motion = names["flap"], names["motion"]
     tip = flap.nodal(motion.x)[np.argmax(flap.node_positions[:, 1])]
     assert 0.02 < tip[0] < 0.6

@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import logging
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -130,6 +131,15 @@ def test_plane_and_one_layer_agree(plane, extruded):
     assert 1e-6 < difference < 0.02
     other = run(3, data=DEMO.Data(youngs_modulus=2 * DATA.youngs_modulus))
     assert np.abs(plane.tips - other.tips[..., :2]).max() > 2 * difference
+
+
+def test_the_width_of_a_layer_across_which_nothing_flows_is_no_spacing_of_points(caplog):
+    """The points of a layer lie on its two ends, eight cells apart; those along the leaflet are what matters."""
+    with caplog.at_level(logging.WARNING, logger="coudalfish"):
+        run(3, steps=1)
+        assert "immersed points are up to" not in caplog.text
+        run(3, steps=1, leaflet_elements=2)
+    assert "immersed points are up to" in caplog.text
 
 
 def test_one_layer_is_per_depth(extruded):

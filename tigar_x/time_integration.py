@@ -73,16 +73,8 @@ def generalized_alpha(rho_infinity: float, order: int = 1, *, first_order_alpha_
     if order == 1:
         return Scheme(1, alpha_f, alpha_m, a0=1.0 / gamma, a1=(gamma - 1.0) / gamma)
     beta = 0.25 * (1.0 + alpha_m - alpha_f) ** 2
-    return Scheme(
-        2,
-        alpha_f,
-        alpha_m,
-        a0=gamma / beta,
-        a1=1.0 - gamma / beta,
-        a2=(1.0 - gamma) - gamma * (1.0 - 2.0 * beta) / (2.0 * beta),
-        b0=1.0 / gamma,
-        b1=-(1.0 - gamma) / gamma,
-    )
+    a0, a2 = gamma / beta, (1.0 - gamma) - gamma * (1.0 - 2.0 * beta) / (2.0 * beta)
+    return Scheme(2, alpha_f, alpha_m, a0=a0, a1=1.0 - a0, a2=a2, b0=1.0 / gamma, b1=-(1.0 - gamma) / gamma)
 
 
 def backward_euler(order: int = 1) -> Scheme:
@@ -142,6 +134,8 @@ class TimeIntegrator:
         t: Constant, end t_{n+1} of the step in progress.
         t_alpha: Constant, t_n + alpha_f dt.
         dt: Constant, step size.
+        in_step: whether a step has been predicted and not been accepted or given up; what belongs to the level of the
+            equations has a meaning only then.
 
     Raises:
         ValueError: dt is not positive, or a component does not exist.
@@ -173,6 +167,7 @@ class TimeIntegrator:
         for component in algebraic:
             checks.choice("algebraic", component, tuple(range(x.ufl_shape[0])) if x.ufl_shape else ())
         self._algebraic = frozenset(algebraic)
+        self.in_step = False
 
         names = ("alpha_f", "alpha_m", "a0", "a1", "a2", "b0", "b1")
         self._c = {name: fem.Constant(V.mesh, float(getattr(scheme, name))) for name in names}
@@ -306,6 +301,7 @@ class TimeIntegrator:
 
     def predict(self) -> None:
         """Same-velocity predictor: x_n in first-order systems, the x that keeps x' = x'_n in second-order ones."""
+        self.in_step = True
         self.x.x.array[:] = self.x_old.x.array
         s, h = self.scheme, self.step_size
         if s.order == 2:
@@ -334,11 +330,12 @@ class TimeIntegrator:
 
     def restore(self) -> None:
         """Put x back to the last accepted state; the clock has not moved."""
+        self.in_step = False
         self.x.x.array[:] = self.x_old.x.array
 
     def advance(self) -> None:
         """Accept x as the state at t_{n+1} and move the clock."""
-        rates = self.rates()
+        rates, self.in_step = self.rates(), False
         self.x_old.x.array[:] = self.x.x.array
         self.xdot_old.x.array[:] = rates[0]
         if self.scheme.order == 2:

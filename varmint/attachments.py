@@ -1,5 +1,10 @@
-"""What a flow keeps beside its residual: solids in it, pressures of outlets, the pressure's constant."""
+"""What a flow keeps beside its residual: solids in it, pressures of outlets, the pressure's constant.
 
+Whoever steps the flow in its place has to take this over; :class:`FlowTime` has it at hand.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,9 +13,11 @@ from dolfinx import fem
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
+from tigar_x.linear import LinearSolver
+from tigar_x.time_integration import TimeIntegrator
 from varmint import ale
 from varmint.conditions import Resistance
-from varmint.motion import ElasticMotion
+from varmint.motion import ElasticMotion, PrescribedMotion
 from varmint.solids import Solid, solid_residual
 from varmint.space import split
 
@@ -123,6 +130,39 @@ class OutletPressure:
     def update(self) -> None:
         """Bring the pressure to the present flow rate (collective)."""
         self.pressure.value = self._condition.pressure + self._condition.resistance * self.flow_rate()
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a flow needs of whoever steps it, beside its residual.
+
+    Attributes:
+        updates: see :class:`varmint.flow.Flow`.
+        before: see there.
+        rank_one: see there.
+        bcs: strong conditions without the pin of the pressure.
+        moving: motion of the mesh; None: it is fixed.
+        solver: linear solver that was chosen for it; None: none was.
+        is_closed: whether a constant of its pressure remains.
+    """
+
+    updates: tuple[Callable[[float], None], ...]
+    before: tuple[Callable[[], None], ...]
+    rank_one: tuple[OutletPressure, ...]
+    bcs: tuple[Any, ...]
+    moving: PrescribedMotion | ElasticMotion | None
+    solver: LinearSolver | None
+    is_closed: bool
+
+
+class FlowTime(TimeIntegrator):
+    """Integrator of a flow, which tells whoever steps the flow what it needs.
+
+    Attributes:
+        needs: see there.
+    """
+
+    needs: Needs
 
 
 def pressure_pin(V: fem.FunctionSpace, at: Any) -> Any:

@@ -16,8 +16,8 @@ from tigar_x.compat import IntArray
 from tigar_x.line_search import LineSearch
 from tigar_x.linear import LinearSolver, SolveError, automatic
 from tigar_x.solve import FiniteElementSystem, NewtonReport, newton
-from tigar_x.time_integration import Scheme, TimeIntegrator, generalized_alpha
-from varmint.attachments import OutletPressure, SolidInFlow, pressure_pin
+from tigar_x.time_integration import Scheme, generalized_alpha
+from varmint.attachments import FlowTime, Needs, OutletPressure, SolidInFlow, pressure_pin
 from varmint.conditions import Condition, Data, Fields, Resistance, given, vector
 from varmint.flow_checks import check_clock, check_cover, check_numbers
 from varmint.flow_options import (
@@ -70,8 +70,6 @@ class Flow:
         v: velocity at the level of the equations, UFL.
         p: pressure, UFL.
         terms: parts of the residual, each with the facet groups of its condition, "fluid" or "solid".
-        bcs: strong boundary conditions.
-        updates: to be called with t_alpha at the start of every step by whoever steps the flow.
         is_closed: whether no boundary is open and no solid compressible, so that a constant of the pressure remains.
 
     Raises:
@@ -100,17 +98,16 @@ class Flow:
         scheme = generalized_alpha(0.5) if scheme is None else scheme
         check_numbers(rho, mu, dt, scheme, moving, solid)
         check_cover(mesh, conditions)
-        self.mesh, self.conditions, self.degree = mesh, tuple(conditions), degree
+        self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving
         self.rho, self.mu = (
             value if isinstance(value, fem.Constant) else fem.Constant(domain, float(value)) for value in (rho, mu)
         )
         self.V = equal_order_space(domain, degree)
         self.w = fem.Function(self.V, name="w")
-        self.moving = moving
-        self.time: TimeIntegrator | None = None
+        self.time: FlowTime | None = None
         level, rate, t, t_alpha = self.w, None, fem.Constant(domain, 0.0), None
         if dt is not None:
-            self.time = TimeIntegrator(self.w, dt, scheme, algebraic=(d,))
+            self.time = FlowTime(self.w, dt, scheme, algebraic=(d,))
             level, rate, t, t_alpha = self.time.x_alpha, split(self.time.xdot_alpha)[0], self.time.t, self.time.t_alpha
         (self.v, self.p), (w, q) = split(level), split(ufl.TestFunction(self.V))
         motion = None if moving is None else moving.motion
@@ -130,6 +127,9 @@ class Flow:
         self._prescribe()
         # a solid that can be compressed determines the pressure of a fluid that is enclosed with it
         self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
+        if self.time is not None:
+            hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
+            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed)
 
     # -- forms --------------------------------------------------------------------------------------------------------
 
@@ -199,7 +199,7 @@ class Flow:
         pin = self.is_closed and not self._by_null_space
         return [*self._bcs, pressure_pin(self.V, self.options.pin_at)] if pin else self._bcs
 
-    @property
+    @cached_property
     def updates(self) -> tuple[Callable[[float], None], ...]:
         """To be called with t_alpha at the start of every step by whoever steps the flow."""
         return tuple(lambda _, refresh=refresh: refresh() for refresh in self._values)
@@ -337,10 +337,10 @@ class Flow:
                 raise
             t = float(time.t.value)
             raise FlowError(f"the step to t = {t:.6g} (dt = {time.step_size:.3g}) failed: {error}", t) from error
-        time.advance()
-        if self.moving is not None:
-            self.moving.time.advance()
-        return FlowReport(time.time, done.norms, sum(done.linear_iterations), done.tangents, measured)
+        t_alpha, linear = float(time.t_alpha.value), sum(done.linear_iterations)
+        for integrator in (time,) if self.moving is None else (time, self.moving.time):
+            integrator.advance()
+        return FlowReport(time.time, done.norms, linear, done.tangents, measured, t_alpha)
 
     def solve(self) -> FlowReport:
         """Solve for the steady flow, from the present state.

@@ -90,6 +90,7 @@ class FlowReport:
         linear_iterations: iterations of the linear solver in all.
         tangents: number of tangents that were assembled.
         measured: what the step's ``measure`` returned.
+        t_alpha: time at which the equations hold, to which pressures and forces belong; velocities belong to the end.
     """
 
     t: float
@@ -97,6 +98,7 @@ class FlowReport:
     linear_iterations: int
     tangents: int
     measured: Any = None
+    t_alpha: float = 0.0
 
     @property
     def iterations(self) -> int:

@@ -114,7 +114,9 @@ class BoundaryForce:
     Where a group ends at another one with values at the nodes, the nodes that both share carry a part of the other's
     force as well, a difference of first order; on bodies by themselves, and beside other conditions, there is none.
 
-    In a step it belongs to the state before the clocks move, see ``measure`` of :meth:`varmint.flow.Flow.take_step`.
+    In a step the equations hold at the time t_alpha of the report, and only until the clocks move: the force of an
+    unsteady flow is asked for as ``measure`` of :meth:`varmint.flow.Flow.take_step` or of a coupled step. In the latter
+    the nodes of the facets carry what an immersed surface gives to them as well.
 
     Args:
         flow: the flow.
@@ -140,10 +142,19 @@ class BoundaryForce:
         compat.freed_with(self, self._b)
         nodes = compat.nodes_on_facets(flow.V, flow.mesh.facets(*names))
         self._nodes = nodes[nodes < flow.V.dofmap.index_map.size_local]
-        self._comm = flow.mesh.domain.comm
+        self._comm, self._time = flow.mesh.domain.comm, flow.time
 
     def __call__(self) -> FloatArray:
-        """Force of the fluid on the facets (collective), shape (d,); per unit depth in the plane."""
+        """Force of the fluid on the facets (collective), shape (d,); per unit depth in the plane.
+
+        Raises:
+            RuntimeError: an unsteady flow is between steps, where no equations hold.
+        """
+        if self._time is not None and not self._time.in_step:
+            raise RuntimeError(
+                f"the force is asked for between steps, at t = {self._time.time:.6g}: it follows from the equations of"
+                " a step; give it to the step as measure=, and find it in report.measured"
+            )
         compat.assemble_vector(self._b, self._form)
         self._b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         rows = self._b.array_r.reshape(-1, self._d + 1)[self._nodes, : self._d]
