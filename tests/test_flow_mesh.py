@@ -861,7 +861,7 @@ def test_a_geo_file_is_meshed(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("Point(1) = {0, 0, 0}; Lin(3 = {1, 2\n", "bad.geo: gmsh makes no mesh of it: .*syntax error"),
+        ("Point(1) = {0, 0, 0}; Line(3 = {1, 2\n", "bad.geo: gmsh makes no mesh of it: .*syntax error"),
         ("", "bad.geo has nothing of dimension 0|bad.geo has no cells"),
         ("Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0}; Line(1) = {1, 2};\n", "bad.geo has no cells"),
         (GEO + "Mesh.ElementOrder = 2;\n", "bad.geo has cells 'triangle 6': linear ones of one kind"),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray
-from varmint.mesh_checks import MeshArrays
+from varmint.mesh_checks import FACETS, MeshArrays, number_rows
 
 Numbers = NDArray[np.int64]
 
@@ -68,8 +68,8 @@ class Elements:
             names: numbers of groups by the names that they are given; the others have their label, or their number.
 
         Raises:
-            ValueError: cells that are mixed or not linear, a plane mesh not at one z, a number that no group has, or
-                two groups with one name.
+            ValueError: cells that are mixed or not linear, a plane mesh not at one z, a number that no group has, two
+                groups with one name, an element in two groups, or a facet in a group that no cell has.
         """
         dim = max((block.dimension for block in self.blocks), default=0)
         cells, sides = self._merged(dim), self._merged(dim - 1)
@@ -87,7 +87,10 @@ class Elements:
         rows, numbers = tagged.get(side, (np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)))
         cell_names, side_names = self._named(dim, cell_numbers, names), self._named(dim - 1, numbers, names)
         _check_names(names or {}, [*cell_names.values(), *side_names.values()])
+        self._check_once("cells", vertices, cell_numbers, cell_names)
+        self._check_once("facets", rows, numbers, side_names)
         facets = {name: rows[numbers == number] for name, number in side_names.items()}
+        self._check_sides(vertices[:, order][:, FACETS[cell]], facets)
         groups = {name: np.flatnonzero(cell_numbers == number) for name, number in cell_names.items()}
         return MeshArrays(cell, vertices[:, order], self._coordinates(dim, vertices), facets, groups)
 
@@ -119,10 +122,40 @@ class Elements:
             name = given.get(number, self.labels.get((dim, number), str(number)))
             if name in found:
                 raise ValueError(
-                    f"groups {found[name]} and {number} of {self.place} are both {name!r}: two names are required"
+                    f"groups {found[name]} and {number} of {self.place} are both {name!r}: two names are required, "
+                    "in the file or by names"
                 )
             found[name] = number
         return found
+
+    def _check_once(self, what: str, rows: Numbers, numbers: Numbers, names: Mapping[str, int]) -> None:
+        """Refuse elements that are twice there, with the numbers of two groups."""
+        if not len(names) > 1:
+            return
+        same = number_rows(np.sort(rows, axis=1))
+        order = np.lexsort((numbers, same))
+        twice = np.flatnonzero((np.diff(same[order]) == 0) & (np.diff(numbers[order]) != 0))
+        if len(twice):
+            name = {number: name for name, number in names.items()} | {0: "none"}
+            both = " and ".join(repr(name[int(numbers[i])]) for i in order[twice[0] : twice[0] + 2])
+            raise ValueError(
+                f"{self.place} has {what} in groups {both}: one at most is required; "
+                "a condition or a measure takes several groups, so let groups share nothing"
+            )
+
+    def _check_sides(self, sides: Numbers, facets: Mapping[str, Numbers]) -> None:
+        """Refuse facets in a group that no cell has; ``sides`` has shape (cells, facets per cell, vertices)."""
+        for name, rows in facets.items():
+            near = sides[np.isin(sides, rows).all(axis=2)]
+            numbers = number_rows(np.sort(np.concatenate([near, rows]), axis=1))
+            alone = ~np.isin(numbers[len(near) :], numbers[: len(near)])
+            if alone.any():
+                place = ", ".join(f"{value:.6g}" for value in self.points[rows[alone.argmax()]].mean(axis=0))
+                raise ValueError(
+                    f"{self.place} has group {name!r} with {alone.sum()} of {len(rows)} facets, such as that at "
+                    f"({place}), beside no cell of the mesh: where some cells are in groups gmsh leaves out all "
+                    "others; a group of the cells beside the facets is required as well"
+                )
 
     def _coordinates(self, dim: int, cells: Numbers) -> FloatArray:
         x = np.asarray(self.points, dtype=np.float64)

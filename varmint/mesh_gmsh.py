@@ -1,12 +1,7 @@
 """Meshes that gmsh makes on rank 0."""
 
-import inspect
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,14 +11,11 @@ from tigar_x import checks
 from varmint.mesh import NamedMesh
 from varmint.mesh_arrays import distributed
 from varmint.mesh_checks import MeshArrays, extruded
-from varmint.mesh_elements import Block, Elements
+from varmint.mesh_elements import Elements
+from varmint.mesh_session import model_elements, session
 
-KINDS = {1: "line", 2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 15: "vertex"}
-"""meshio's names of gmsh's linear elements."""
 GROWTH = 0.25
 """By how much cells grow per unit of length away from the cylinder."""
-LEFT = 1000
-"""Of how many further errors at most gmsh's parser is relieved after one."""
 
 
 class Region(NamedTuple):
@@ -61,9 +53,9 @@ def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMe
     checks.choice("dim", dim, (2, 3))
 
     def elements() -> Elements:
-        with _session() as gmsh:
+        with session() as gmsh:
             build(gmsh)
-            return _meshed(gmsh, dim, "the model of build")
+            return model_elements(gmsh, dim, "the model of build")
 
     return distributed(comm, lambda: elements().arrays())
 
@@ -125,10 +117,10 @@ def channel_with_cylinder(
         fields.append(_zone(fine, x, tip[0], y, tip[1]))
 
     def arrays() -> MeshArrays:
-        with _session() as gmsh:
+        with session() as gmsh:
             _build_channel(gmsh.model, (length, height), (x, y), radius, tip)
             set_sizes(gmsh, size, fields)
-            plane = _meshed(gmsh, 2, "the channel").arrays()
+            plane = model_elements(gmsh, 2, "the channel").arrays()
         return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size - 1e-9)))
 
     return distributed(comm, arrays)
@@ -211,98 +203,3 @@ def set_sizes(gmsh: Any, size: float, regions: Sequence[Region]) -> None:
     smallest = field.add("Min")
     field.setNumbers(smallest, "FieldsList", tags)
     field.setAsBackgroundMesh(smallest)
-
-
-def geo_elements(path: Path) -> Elements:
-    """Elements of the mesh that gmsh makes of a .geo file, for this rank alone.
-
-    Args:
-        path: file name.
-
-    Raises:
-        ValueError: gmsh cannot read or mesh it; what :func:`from_gmsh` raises.
-        RuntimeError: gmsh is in use.
-    """
-    try:
-        with _session() as gmsh:
-            gmsh.open(str(path))
-            return _meshed(gmsh, max((dim for dim, _ in gmsh.model.getEntities()), default=0), str(path))
-    except (ValueError, RuntimeError):
-        raise
-    except Exception as error:  # gmsh raises nothing more special
-        _flush_parser()
-        raise ValueError(f"{path}: gmsh makes no mesh of it: {error}") from error
-
-
-def _flush_parser() -> None:
-    """Take from gmsh's parser the rest of a line with an error, or it goes on there with the next file."""
-    with NamedTemporaryFile("w", suffix=".geo") as blank:
-        blank.write(3 * "// nothing\n")
-        blank.flush()
-        for _ in range(LEFT):
-            try:
-                with _session() as gmsh:
-                    gmsh.open(blank.name)
-                return
-            except Exception:
-                continue
-
-
-@contextmanager
-def _session() -> Iterator[Any]:
-    """The module gmsh, initialized and quiet; the handler of interrupts stays what it is."""
-    handler = signal.getsignal(signal.SIGINT)
-    import gmsh
-
-    if getattr(gmsh, "isInitialized", int)():
-        raise RuntimeError("gmsh is in use: gmsh.finalize() is required before")
-    known = inspect.signature(gmsh.initialize).parameters
-    gmsh.initialize([], readConfigFiles=False, **({"interruptible": False} if "interruptible" in known else {}))
-    try:
-        _restore(handler)
-        gmsh.option.setNumber("General.Terminal", 0)
-        yield gmsh
-    finally:
-        gmsh.finalize()
-        _restore(handler)
-
-
-def _restore(handler: Any) -> None:
-    if handler is not None and signal.getsignal(signal.SIGINT) != handler:
-        signal.signal(signal.SIGINT, handler)
-
-
-def _meshed(gmsh: Any, dim: int, place: str) -> Elements:
-    """Elements of the current model, which is meshed unless it has been."""
-    if not gmsh.model.getEntities(dim):
-        raise ValueError(f"{place} has nothing of dimension {dim}: a geometry that is synchronized is required")
-    if not len(gmsh.model.mesh.getElements(dim)[0]):
-        gmsh.model.mesh.generate(dim)
-    tags, x, _ = gmsh.model.mesh.getNodes()
-    point = np.full(int(tags.max(initial=0)) + 1, -1, dtype=np.int64)
-    point[tags] = np.arange(len(tags))
-    blocks = []
-    for d, entity in gmsh.model.getEntities(dim) + gmsh.model.getEntities(dim - 1):
-        number = _group(gmsh, d, entity, place)
-        for kind, vertices in _elements(gmsh, d, entity):
-            blocks.append(Block(kind, point[vertices], np.full(len(vertices), number)))
-    if any(block.dimension == dim and block.numbers.any() for block in blocks):
-        blocks = [block for block in blocks if block.dimension < dim or block.numbers.any()]
-    labels = {(d, tag): gmsh.model.getPhysicalName(d, tag) for d, tag in gmsh.model.getPhysicalGroups()}
-    return Elements(place, np.reshape(x, (-1, 3)), blocks, {key: name for key, name in labels.items() if name})
-
-
-def _group(gmsh: Any, dim: int, entity: int, place: str) -> int:
-    groups = [int(group) for group in gmsh.model.getPhysicalGroupsForEntity(dim, entity)]
-    if len(groups) > 1:
-        names = " and ".join(gmsh.model.getPhysicalName(dim, abs(group)) or str(group) for group in groups)
-        raise ValueError(f"{place} has entity {entity} of dimension {dim} in groups {names}: one at most is required")
-    return groups[0] if groups else 0
-
-
-def _elements(gmsh: Any, dim: int, entity: int) -> Iterator[tuple[str, Any]]:
-    """Kind and vertices of the elements of an entity."""
-    kinds, _, nodes = gmsh.model.mesh.getElements(dim, entity)
-    for kind, flat in zip(kinds, nodes, strict=True):
-        name, _, _, count, *_ = gmsh.model.mesh.getElementProperties(kind)
-        yield KINDS.get(int(kind), name.lower()), np.asarray(flat, dtype=np.int64).reshape(-1, count)
