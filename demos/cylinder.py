@@ -19,8 +19,9 @@ from mpi4py import MPI
 
 from tigar_x import checks, compat, script
 from tigar_x.compat import FloatArray
-from tigar_x.output import CSVSeries, XDMFSeries
+from tigar_x.output import CSVSeries
 from tigar_x.time_integration import generalized_alpha
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh_gmsh import channel_with_cylinder
@@ -178,11 +179,11 @@ def main(
     return summary
 
 
-def _movie(out: Path, flow: Flow, curl: NodalField | None = None) -> XDMFSeries:
+def _movie(out: Path, flow: Flow, curl: NodalField | None = None) -> VTKHDFSeries:
     fields: dict[str, Any] = {"velocity": (flow.w, (0, 1)), "pressure": (flow.w, (2,))}
     if curl is not None:
         fields["vorticity"] = (curl.field, (0,))
-    return XDMFSeries(out / "flow.xdmf", flow.mesh.domain, **fields)
+    return VTKHDFSeries(out / "flow.vtkhdf", flow.mesh.domain, **fields)
 
 
 def follow(

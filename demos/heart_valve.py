@@ -48,13 +48,14 @@ from tigar_x import checks, compat, script, surfaces
 from tigar_x.compat import FloatArray
 from tigar_x.linear import direct, gmres_ilu
 from tigar_x.multipatch import disjoint
-from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
+from tigar_x.output import CSVSeries, VTUSeries
 from tigar_x.projection import LumpedProjector
 from tigar_x.quadrature import NodalQuadrature
 from tigar_x.restart import Restart
 from tigar_x.ribbon import piercings
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint.conditions import Resistance, Traction, Velocity
 from varmint.flow import Flow
 from varmint.mesh_aorta import aortic_root
@@ -578,8 +579,12 @@ class Pictures:
             self._tension.x.array[:] = projector(form).ravel()
             return self._tension.x.array.copy()
 
-        self._fluid = XDMFSeries(
-            run.named(out / "fluid.xdmf"), valve.flow.mesh.domain, velocity=(w, (0, 1, 2)), pressure=(w, (3,))
+        self._fluid = VTKHDFSeries(
+            out / "fluid.vtkhdf",
+            valve.flow.mesh.domain,
+            after=run.after,
+            velocity=(w, (0, 1, 2)),
+            pressure=(w, (3,)),
         )
         self._shell = VTUSeries(
             out / "leaflets",

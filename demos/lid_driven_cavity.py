@@ -19,8 +19,8 @@ import ufl
 from mpi4py import MPI
 
 from tigar_x import checks, compat, script
-from tigar_x.output import XDMFSeries
 from tigar_x.refinement import Study, doubled, refine
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint.conditions import WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
@@ -127,7 +127,9 @@ def main(
     study, flow = refine(solved, errors, doubled(elements, levels), expected, compiled)
     if viz:
         d = flow.mesh.domain.geometry.dim
-        with XDMFSeries(out / "cavity.xdmf", flow.mesh.domain, velocity=(flow.w, (0, 1)), pressure=(flow.w, (d,))) as f:
+        with VTKHDFSeries(
+            out / "cavity.vtkhdf", flow.mesh.domain, velocity=(flow.w, (0, 1)), pressure=(flow.w, (d,))
+        ) as f:
             f.write(0.0)
         draw(out / "lid_driven_cavity.png", flow, study)
 

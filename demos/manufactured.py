@@ -32,11 +32,12 @@ from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks, compat, script, shapes
 from tigar_x.linear import LinearSolver, direct
-from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
+from tigar_x.output import CSVSeries, VTUSeries
 from tigar_x.restart import Restart
 from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint.boundary import weak_dirichlet
 from varmint.mesh import named
 from varmint.pictures import PlaneField
@@ -370,8 +371,8 @@ class Pictures:
     def __init__(self, out: Path, fsi: CouDALFISh, run: Restart) -> None:
         w, time, d = fsi.timeInt_f.x, fsi.timeInt_sh, fsi.mesh_f.geometry.dim
         self._out = out
-        name = run.named(out / "fluid.xdmf")
-        self._fluid = XDMFSeries(name, fsi.mesh_f, velocity=(w, tuple(range(d))), pressure=(w, (d,)))
+        fields = {"velocity": (w, tuple(range(d))), "pressure": (w, (d,))}
+        self._fluid = VTKHDFSeries(out / "fluid.vtkhdf", fsi.mesh_f, after=run.after, **fields)
         self._shell = VTUSeries(
             out / "shell",
             fsi.spline_sh,

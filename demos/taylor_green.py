@@ -22,9 +22,10 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import checks, compat, script
-from tigar_x.output import CSVSeries, XDMFSeries
+from tigar_x.output import CSVSeries
 from tigar_x.refinement import Study, doubled, refine
 from tigar_x.time_integration import generalized_alpha
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint import ale
 from varmint.conditions import Slip
 from varmint.flow import Flow, FlowOptions
@@ -190,7 +191,10 @@ def rerun(out: Path, flow: Flow) -> None:
         fields["mesh_displacement"] = (flow.moving.time.x, tuple(range(d)))
     measured = Measured(kinetic_energy=kinetic_energy(flow), volume=volume(flow))
     columns = ("kinetic_energy", "volume", "newton_iterations")
-    with XDMFSeries(out / "flow.xdmf", domain, **fields) as movie, CSVSeries(out / "history.csv", columns) as history:
+    with (
+        VTKHDFSeries(out / "flow.vtkhdf", domain, **fields) as movie,
+        CSVSeries(out / "history.csv", columns) as history,
+    ):
         while flow.time.time < END - 1e-9 * END:
             report = flow.take_step()
             movie.write(report.t)

@@ -21,8 +21,9 @@ from mpi4py import MPI
 from tigar_x import checks, script
 from tigar_x.compat import FloatArray
 from tigar_x.linear import direct
-from tigar_x.output import CSVSeries, XDMFSeries
+from tigar_x.output import CSVSeries
 from tigar_x.time_integration import backward_euler, generalized_alpha
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh_gmsh import channel_with_cylinder
@@ -200,7 +201,7 @@ class Pictures:
         self._vorticity: NodalField = vorticity(flow)
         fields = {"velocity": (flow.w, (0, 1)), "pressure": (flow.w, (2,))}
         fields |= {"mesh_displacement": (flow.moving.time.x, (0, 1)), "vorticity": (self._vorticity.field, (0,))}
-        self._movie = XDMFSeries(out / "flow.xdmf", flow.mesh.domain, **fields)
+        self._movie = VTKHDFSeries(out / "flow.vtkhdf", flow.mesh.domain, **fields)
         self._history = CSVSeries(out / "history.csv", (*PUBLISHED, "smallest_volume_ratio"))
 
     def write(self, n: int, row: tuple[Any, ...]) -> None:

@@ -35,10 +35,11 @@ from tigar_x import checks, script, shapes
 from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, direct
 from tigar_x.multipatch import disjoint
-from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
+from tigar_x.output import CSVSeries, VTUSeries
 from tigar_x.restart import Restart
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from tigar_x.vtkhdf import VTKHDFSeries
 from varmint.conditions import Condition, Slip, Traction, WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import NamedMesh, box
@@ -430,7 +431,7 @@ class Pictures:
         self._energies = valve.energies()
         curl = self._vorticity.field, tuple(range(1 if d == 2 else 3))
         fields = {"velocity": (w, tuple(range(d))), "pressure": (w, (d,)), "vorticity": curl}
-        self._fluid = XDMFSeries(run.named(out / "fluid.xdmf"), valve.fsi.mesh_f, **fields)
+        self._fluid = VTKHDFSeries(out / "fluid.vtkhdf", valve.fsi.mesh_f, after=run.after, **fields)
         self._shell = VTUSeries(
             out / "shell",
             valve.fsi.spline_sh,

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 from load import load_demo
-from on_disk import DEMOS, ROOT
+from on_disk import DEMOS, ROOT, read_vtkhdf
 
 COMMON = {"demo", "inputs", "compile_s", "wall_s", "cpu_s", "peak_rss_mib", "versions"}
 
@@ -26,9 +26,10 @@ def test_demo_at_toy_size(name, tmp_path):
     assert written["demo"] == name
     assert written.get("errors") or written.get("qoi")
     assert all(value > 0.0 for value in written.get("errors", {}).values())
-    for path in tmp_path.glob("*.xdmf"):
-        ET.parse(path)
-        assert path.with_suffix(".h5").exists()
+    for path in tmp_path.glob("*.vtkhdf"):
+        times = [t for t, _ in read_vtkhdf(path)[2]]
+        assert times
+        assert times == sorted(set(times))
     for path in tmp_path.glob("*.pvd"):
         entries = ET.parse(path).findall(".//DataSet")
         assert len(entries) == written.get("steps", 1)
@@ -50,7 +51,15 @@ def test_manufactured_in_space_at_toy_size(tmp_path):
     demo = load_demo("manufactured")
     summary = demo.main(**demo.TOY, dim=3, out=tmp_path, viz=True)
     assert summary["dofs_fluid"] == 4 * 2 * 7 * 7
-    assert {path.suffix for path in tmp_path.iterdir()} >= {".json", ".xdmf", ".h5", ".pvd", ".vtu", ".csv", ".png"}
+    assert {path.suffix for path in tmp_path.iterdir()} >= {
+        ".json",
+        ".vtkhdf",
+        ".steps",
+        ".pvd",
+        ".vtu",
+        ".csv",
+        ".png",
+    }
 
 
 @pytest.mark.parametrize("name", DEMOS)

@@ -16,7 +16,7 @@ import test_moving_coupler as moving
 from mpi4py import MPI
 from load import load_demo
 from mpi_runs import MPIRUN, mpirun, outside
-from on_disk import ROOT
+from on_disk import ROOT, read_vtkhdf
 from test_coupled_contact import approaching
 
 from coudalfish import PenaltyRule
@@ -274,7 +274,12 @@ def test_a_demo_that_is_told_to_end_goes_on(tmp_path, monkeypatch):
         assert resumed[key] == whole[key]
     for name in ("history.csv", "shell.pvd"):
         assert (tmp_path / "ended" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    assert (tmp_path / "ended" / "fluid_000005.xdmf").exists()
+    ended, finished = (read_vtkhdf(tmp_path / run / "fluid.vtkhdf") for run in ("ended", "whole"))
+    np.testing.assert_array_equal(ended[0], finished[0])
+    assert [t for t, _ in ended[2]] == [t for t, _ in finished[2]]
+    for (_, found), (_, expected) in zip(ended[2], finished[2], strict=True):
+        for name, values in expected.items():
+            np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-9)
 
 
 # -- runs that are killed or told to end ------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from dolfinx import fem, io, mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
+from tigar_x.vertex_values import Components, VertexValues
 from tigar_x.writing import all_come, on_root, replace_text, together
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ SLACK = 1e-9
 """By which a time on disk may differ from the same time of the clock, relative to it."""
 
 
-def _is_later(t: float, after: float) -> bool:
+def is_later(t: float, after: float) -> bool:
+    """Whether a time on disk is later than a time of the clock."""
     return t > after + SLACK * abs(after)
 
 
@@ -43,7 +45,9 @@ def _check_writable(*paths: Path) -> None:
             path.unlink()
 
 
-class _Series:
+class Series:
+    """What every series is besides: a context manager that finishes or abandons its files."""
+
     def close(self) -> None:
         """Finish the files (collective)."""
 
@@ -61,8 +65,11 @@ class _Series:
                 self._abandon()
 
 
-class XDMFSeries(_Series):
+class XDMFSeries(Series):
     """Vertex values of components of finite element functions, as XDMF with HDF5 (collective).
+
+    The files can be read once the series is closed, and not after a run that was killed; for output that can be read at
+    any time see :class:`tigar_x.vtkhdf.VTKHDFSeries`.
 
     Args:
         path: file name ending in ``.xdmf``; its folder is made.
@@ -73,32 +80,19 @@ class XDMFSeries(_Series):
         OSError: on all ranks: the files cannot be made.
     """
 
-    def __init__(self, path: Path | str, domain: mesh.Mesh, **fields: tuple[fem.Function, Sequence[int]]) -> None:
+    def __init__(self, path: Path | str, domain: mesh.Mesh, **fields: Components) -> None:
         target = Path(path)
         on_root(domain.comm, lambda: _check_writable(target, target.with_suffix(".h5")))
-        self._copies = [self._prepare(domain, name, *field) for name, field in fields.items()]
+        self._values = VertexValues(domain, fields)
         self._comm = domain.comm.Dup()
         self._file = together(self._comm, lambda: io.XDMFFile(domain.comm, str(target), "w"))
         together(self._comm, lambda: self._file.write_mesh(domain))
 
-    @staticmethod
-    def _prepare(domain: mesh.Mesh, name: str, source: fem.Function, components: Sequence[int]) -> Any:
-        size = len(components)
-        target = fem.Function(compat.lagrange_space(domain, 1, size), name=name)
-        vertices = compat.cell_vertices(domain).shape[1]
-        to = compat.cell_dofs(target.function_space)[:, :vertices].ravel()
-        pairs = []
-        for i, component in enumerate(components):
-            scalar, parent = compat.component_space(source.function_space, component)
-            pairs.append((size * to + i, parent[compat.cell_dofs(scalar)[:, :vertices].ravel()]))
-        return source, target, pairs
-
     def write(self, t: float) -> None:
         """Append the present fields at time ``t``."""
-        for source, target, pairs in self._copies:
-            for to, origin in pairs:
-                target.x.array[to] = source.x.array[origin]
-            together(self._comm, lambda f=target: self._file.write_function(f, t))  # type: ignore[misc]
+        self._values.update()
+        for function in self._values.functions.values():
+            together(self._comm, lambda f=function: self._file.write_function(f, t))  # type: ignore[misc]
 
     def close(self) -> None:
         """Finish the file."""
@@ -109,7 +103,7 @@ class XDMFSeries(_Series):
             self._file.close()
 
 
-class VTUSeries(_Series):
+class VTUSeries(Series):
     """A deformed spline in physical space: numbered VTU files and one PVD index that ParaView opens.
 
     Bezier elements are drawn as linear cells between neighbouring nodes. Rank 0 gathers and writes (collective on all
@@ -158,7 +152,7 @@ class VTUSeries(_Series):
             found = [(float(e.attrib["timestep"]), e.attrib["file"]) for e in ET.parse(self._index).iter("DataSet")]
         except (ET.ParseError, KeyError, ValueError) as error:
             raise ValueError(f"{self._index}: not the index of a series ({error})") from error
-        self._entries = [(t, name) for t, name in found if not _is_later(t, after)]
+        self._entries = [(t, name) for t, name in found if not is_later(t, after)]
         self._write_index()
         for _, name in found[len(self._entries) :]:
             self._path.with_name(name).unlink(missing_ok=True)
@@ -205,7 +199,7 @@ class VTUSeries(_Series):
         replace_text(self._index, head + "".join(entries) + "  </Collection>\n</VTKFile>\n")
 
 
-class CSVSeries(_Series):
+class CSVSeries(Series):
     """A history as CSV, one row per step, flushed at once (collective on all ranks; rank 0 writes).
 
     Args:
@@ -276,7 +270,7 @@ def _cut(path: Path, header: Sequence[str], after: float) -> None:
     if found != header:
         raise ValueError(f"{path}: columns {found} were found, {header} are required")
     try:
-        kept = [line for line, row in zip(lines[1:], rows, strict=True) if not _is_later(float(row[0]), after)]
+        kept = [line for line, row in zip(lines[1:], rows, strict=True) if not is_later(float(row[0]), after)]
     except (IndexError, ValueError) as error:
         raise ValueError(f"{path}: not a history ({error})") from error
     replace_text(path, "".join(lines[:1] + kept))

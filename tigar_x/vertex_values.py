@@ -1,0 +1,45 @@
+"""Components of finite element functions as linear functions, which every viewer of files understands."""
+
+from collections.abc import Mapping, Sequence
+
+from dolfinx import fem, mesh
+
+from tigar_x import compat
+from tigar_x.compat import IntArray
+
+Components = tuple[fem.Function, Sequence[int]]
+"""A function and the components of it that make a field."""
+
+
+class VertexValues:
+    """Linear functions with the vertex values of others.
+
+    Args:
+        domain: mesh.
+        fields: what to copy, by name.
+
+    Attributes:
+        functions: the linear functions, of as many components as were chosen, by name.
+
+    Raises:
+        IndexError: a function has no such component.
+    """
+
+    def __init__(self, domain: mesh.Mesh, fields: Mapping[str, Components]) -> None:
+        self.functions: dict[str, fem.Function] = {}
+        self._pairs: list[tuple[fem.Function, IntArray, fem.Function, IntArray]] = []
+        vertices = compat.cell_vertices(domain).shape[1]
+        for name, (source, components) in fields.items():
+            size = len(components)
+            target = fem.Function(compat.lagrange_space(domain, 1, size), name=name)
+            to = compat.cell_dofs(target.function_space)[:, :vertices].ravel()
+            for i, component in enumerate(components):
+                scalar, parent = compat.component_space(source.function_space, component)
+                origin = parent[compat.cell_dofs(scalar)[:, :vertices].ravel()]
+                self._pairs.append((target, size * to + i, source, origin))
+            self.functions[name] = target
+
+    def update(self) -> None:
+        """Copy the present values."""
+        for target, to, source, origin in self._pairs:
+            target.x.array[to] = source.x.array[origin]
