@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import ufl
 
 from shnapr.kinematics import Midsurface, midsurface
+from shnapr.smoothness import require_bending
 from tigar_x.spline import ExtractedSpline
 
 
@@ -42,7 +43,11 @@ def strain_energy(spline: ExtractedSpline, material: Material, y: Any) -> ufl.Fo
 
     Returns:
         Functional; unit: energy (per depth in the plane).
+
+    Raises:
+        ValueError: the spline is of degree 1 and the material bends.
     """
+    require_bending(spline, material)
     current = midsurface(spline, spline.rationalize(y))
     return material.energy_density(midsurface(spline), current) * spline.dx
 
@@ -78,7 +83,11 @@ def internal_work(spline: ExtractedSpline, material: Material, y: Any, z: Any) -
 
     Returns:
         Residual form ``int n : a'/2 - m : b'``.
+
+    Raises:
+        ValueError: the spline is of degree 1 and the material bends.
     """
+    require_bending(spline, material)
     current = midsurface(spline, spline.rationalize(y))
     slope = _Response(material, midsurface(spline), current).slope
     return ufl.dot(slope, _Variation(spline, current, z).measures) * spline.dx

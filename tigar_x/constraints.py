@@ -5,6 +5,7 @@ matrix becomes ``M T`` with ``U = T V`` and V the coefficients that remain free.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.multipatch import MultiPatch, as_multipatch, side_name
+from tigar_x.lines import Line, inner_lines, joints
+from tigar_x.multipatch import MultiPatch, as_multipatch
 from tigar_x.patch import Patch
 
 ROUNDING = 1e-12
@@ -170,16 +172,43 @@ def smooth_joints(geometry: MultiPatch, size: int | None = None, *, tolerance: f
     Raises:
         ValueError: no side is shared, or patches meet at an angle.
     """
-    sides = [side for side in geometry.open_sides if not geometry.collapsed(*side)]
-    rows = [_rows(geometry, side) for side in sides]
-    blocks = [
-        _joint(geometry, rows[i], rows[j], f"{side_name(*sides[j])} and {side_name(*sides[i])}", tolerance)
-        for i in range(len(rows))
-        for j in range(i)
-        if np.array_equal(np.unique(rows[i][0]), np.unique(rows[j][0]))
-    ]
-    if not blocks:
+    found = joints(geometry)
+    if not found:
         raise ValueError("geometry has no side that two patches share: glue patches at coincident control points first")
+    return _smooth(geometry, found, size, tolerance)
+
+
+def smooth_lines(geometry: Patch | MultiPatch, size: int | None = None, *, tolerance: float = 1e-6) -> sp.csr_matrix:
+    """C1 across the lines inside patches where functions are only C0, like :func:`smooth_joints` for glued sides.
+
+    Such lines follow knots that are repeated as often as the degree: where the spans of an arc of more than 90 degrees
+    meet, and in surfaces that come from CAD.
+
+    Args:
+        geometry: curve or surface, of one or several patches.
+        size: number of components of the field; None: ``nsd``.
+        tolerance: allowed departure of the geometry from collinearity, relative to its size.
+
+    Returns:
+        G, shape (constraints, n size).
+
+    Raises:
+        ValueError: no knot is repeated so often, or the geometry has an angle there. (Of degree 1 every knot is such a
+            line; a higher degree is the remedy.)
+    """
+    whole = as_multipatch(geometry)
+    found = [replace(line, name=f"both sides of {line.name}") for line in inner_lines(whole) if line.degree > 1]
+    if not found:
+        raise ValueError("geometry has no line inside a patch, of degree 2 or more, where functions are only C0")
+    return _smooth(whole, found, size, tolerance)
+
+
+def _smooth(geometry: MultiPatch, lines: Sequence[Line], size: int | None, tolerance: float) -> sp.csr_matrix:
+    """C1 across lines."""
+    blocks = []
+    for line in lines:
+        one, other = (bank.functions(geometry) for bank in line.banks)
+        blocks.append(_joint(geometry, one, other, line.name, tolerance))
     return sp.kron(sp.vstack(blocks), sp.identity(geometry.nsd if size is None else size), format="csr")
 
 
@@ -190,6 +219,8 @@ def _joint(
     order = {function: i for i, function in enumerate(other[0])}
     match = np.array([order[function] for function in one[0]])
     joint, plus, minus = one[0], one[1], other[1][match]
+    apart = (plus != joint) & (minus != joint)  # at a pole the rows meet
+    joint, plus, minus = joint[apart], plus[apart], minus[apart]
     alpha, beta = _weight_ratios(geometry, joint, plus, minus)
     w = geometry.weights[:, None]
     P = np.column_stack([w * geometry.relative_points, w]) / w.max()

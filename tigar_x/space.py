@@ -114,6 +114,13 @@ class SplineSpace:
         self.M = petsc_matrix(self.rows, domain.comm)
         compat.freed_with(self, self.M)
 
+    @property
+    def admissible(self) -> sp.csr_matrix:
+        """All coefficients from those that conditions leave free, shape (n, free)."""
+        if self._T is not None:
+            return self._T
+        return sp.identity(self.n, format="csr")[:, np.setdiff1d(np.arange(self.n), self.fixed)]
+
     @cached_property
     def rows(self) -> sp.csr_matrix:
         """This rank's rows of ``M``: its owned nodal values from all free coefficients."""
