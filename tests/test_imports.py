@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from mpi_runs import outside
 from scenes import sheet_in_flow
 
 from tigar_x.spline_system import SplineSystem
@@ -59,3 +60,34 @@ def test_no_contact_object_without_contact():
     assert fsi.shell.contact is None
     assert type(fsi.shell.system) is SplineSystem
     assert fsi.takeStep().contact is None
+
+
+def test_the_order_of_constants_is_all_that_importing_changes_in_ufl():
+    """As the docstring of tigar_x says."""
+    code = """
+import importlib, json, pkgutil, sys
+import mpi4py.MPI, dolfinx.fem.petsc, ufl.algorithms
+def contents(thing):
+    if isinstance(thing, type):
+        return {key: id(value) for key, value in vars(thing).items()}
+    if isinstance(thing, (list, tuple, set)):
+        return [id(value) for value in thing]
+    return {key: id(value) for key, value in thing.items()} if isinstance(thing, dict) else None
+modules = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "ufl"}
+def state():
+    return {f"{name}.{key}": (id(value), contents(value))
+            for name, module in modules.items() for key, value in known[name].items()}
+known = {name: {key: value for key, value in vars(module).items() if not key.startswith("__")}
+         for name, module in modules.items()}
+before = state()
+for package in ("tigar_x", "shnapr", "varmint", "coudalfish"):
+    for found in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
+        importlib.import_module(found.name)
+known = {name: {key: getattr(module, key, None) for key in known[name]} for name, module in modules.items()}
+after = state()
+print(json.dumps([len(before), sorted(key for key in before if before[key] != after[key])]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=outside())
+    names, changed = json.loads(done.stdout.splitlines()[-1])
+    assert names > 1000
+    assert changed == ["ufl.sorting._terminal_cmps"]

@@ -12,6 +12,11 @@ Geometry comes from :mod:`~tigar_x.shapes`, :mod:`~tigar_x.surfaces`, :mod:`~tig
 
 The package also holds the ground that shells, flow and coupling stand on: linear solvers, one Newton loop, time
 integrators, output, and what a script needs around a run.
+
+Importing any of its modules changes one thing in UFL, for all forms of the process: sums and products sort Constants by
+their number, not by its digits (99 comes before 100). Otherwise the name of a compiled form would depend on how many
+Constants were made before it. What forms mean stays, but a form of your own may be compiled a second time, and its
+rounding errors may differ, when it has several Constants and was compiled without this library.
 """
 
 import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)

@@ -19,7 +19,8 @@ from tigar_x.compat.jit import safe_cache
 from tigar_x.compat.release import VERSION
 
 # UFL, up to 2026.1 at least, orders Constants by their printed count, so that 100 comes before 99 and the cache key of
-# a form depends on how many Constants a process made before it; by number the order is stable.
+# a form depends on how many Constants a process made before it; by number the order is stable. Expressions are sorted
+# when they are made, in scripts too, so this cannot be confined to compilation.
 ufl.sorting._terminal_cmps[ufl.Constant._ufl_typecode_] = ufl.sorting._cmp_coefficient
 
 
