@@ -155,11 +155,11 @@ class FluidSubproblem:
         return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 
     def momentum_scale(self) -> float:
-        """Size of the terms that balance in the flow, the last tangent times the state; unit: force."""
+        """Size of the terms that balance in the flow but at outlets' resistances: tangent times state; unit: force."""
         if not self.system.has_tangent:
             return 0.0
         self.system.A.mult(compat.petsc_vector(self.timeInt.x), self._product)
-        return self.norm(self._product, 0.0)
+        return self.norm(self.system.without_loads(self._product), 0.0)
 
     def assemble_tangent(self, trace: TraceMatrix, penalty_tangent: sp.csr_matrix) -> None:
         """Assemble the tangent with the penalty's part.
@@ -194,7 +194,7 @@ class FluidSubproblem:
         Raises:
             SolveError: the linear solver failed.
         """
-        norm = float(self.system.b.norm())
+        norm = self.system.reference_norm()
         self._reference = norm if first else max(norm, self._reference)
         self.system.subtract(self.system.solve(self._reference))
         return self.system.iterations

@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
-from tigar_x import checks, compat
+from tigar_x import checks, compat, rounding
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
@@ -60,6 +60,8 @@ class FiniteElementSystem:
             increment. Needs an iterative solver. None: there is no such field.
         rank_one: loads whose tangent is dense.
         before: called before every assembly of the residual, to bring along what follows the unknown.
+        resolution: gives what rounding of each local dof refers to beside its own value, shape (dofs,), as a solid's
+            velocity that deforms it by one. None: nothing.
 
     Attributes:
         A: tangent matrix.
@@ -80,6 +82,7 @@ class FiniteElementSystem:
         constant: IntArray | None = None,
         rank_one: Sequence[RankOne] = (),
         before: Sequence[Callable[[], None]] = (),
+        resolution: Callable[[], FloatArray] | None = None,
     ) -> None:
         compat.free_dropped(x.function_space.mesh.comm)
         self.x = x
@@ -99,6 +102,7 @@ class FiniteElementSystem:
         self._null = None if constant is None else self._null_space(constant)
         self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
         self._before = tuple(before)
+        self._resolution = resolution
 
     def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
         """Of the tangent and of its transpose, attached to it."""
@@ -165,18 +169,34 @@ class FiniteElementSystem:
         Raises:
             SolveError: the linear solver failed.
         """
-        self.iterations = self._solver.solve(self.b, self._dx, reference)
-        if self._low_rank is not None:
-            self.iterations += self._low_rank.correct(self._dx, self._solver)
+        if self._low_rank is None:
+            self.iterations = self._solver.solve(self.b, self._dx, reference)
+        else:
+            self.iterations = self._low_rank.solve(self.b, self._dx, self._solver, self.A, reference)
         if self._null is not None:
             self._null.remove(self._dx)
         return self._dx
+
+    def reference_norm(self) -> float:
+        """Norm of the residual that relative tolerances may refer to (collective), without the loads of ``rank_one``.
+
+        A large resistance makes much of the least change of a flow rate.
+        """
+        return float(self.b.norm()) if self._low_rank is None else self._low_rank.rest(self.b)
+
+    def without_loads(self, vector: PETSc.Vec) -> PETSc.Vec:
+        """The vector of forces, out of which the loads of ``rank_one`` are taken (collective)."""
+        if self._low_rank is not None:
+            self._low_rank.remove(vector)
+        return vector
 
     def rounding(self) -> float:
         """Size of the rounding error in the residual, from the last tangent and the present state (collective)."""
         if not self.has_tangent:
             return 0.0
-        return 2e-15 * float(self.A.norm(PETSc.NormType.INFINITY) * compat.petsc_vector(self.x).norm())
+        x, sizes = compat.petsc_vector(self.x), None if self._resolution is None else self._resolution()
+        low_rank = 0.0 if self._low_rank is None else self._low_rank.rounding(x)
+        return rounding.ROUNDING * (rounding.of_tangent(self.A, x, sizes, self.constrained) + low_rank)
 
     def subtract(self, increment: PETSc.Vec) -> None:
         """Subtract an increment from the unknown, ghosts included."""
@@ -208,7 +228,7 @@ def newton(
     rtol: float = 1e-5,
     atol: float | Callable[[], float] = 0.0,
     max_iterations: int = 20,
-    reference: float | None = None,
+    reference: float | Callable[[], float] | None = None,
     line_search: LineSearch | None = None,
     keep: float | None = None,
     stalled: float = 1.0,
@@ -219,41 +239,50 @@ def newton(
         system: the problem.
         rtol: accepted residual relative to ``reference``.
         atol: accepted residual, in the residual's unit, or a function that gives it, which is asked again after every
-            tangent.
+            tangent and step.
         max_iterations: solves after which the iteration has failed.
-        reference: norm that ``rtol`` refers to; None: the initial residual. A start that is nearly a solution needs
-            one, or ``atol``: rounding keeps the residual from falling far below its initial value.
+        reference: norm that ``rtol`` refers to, or a function that gives it, which is asked once the first residual is
+            assembled; None: the initial residual. A start that is nearly a solution needs one, or ``atol``: rounding
+            keeps the residual from falling far below its initial value.
         line_search: shortens steps that make things worse; None: full steps. It widens what converges, but slows what
             converges over a passing rise of the residual: thin shells. (An elastica with P L^2/(E I) = 4 and
             thickness L/100 takes 43 steps instead of 16.)
         keep: a tangent, with its factors, is kept from step to step, and from the last call, while every step with it
             reduces the residual at least by this factor in (0, 1). A step that makes things worse is taken back. None:
             a new tangent for every step.
-        stalled: multiple of the accepted residual that is accepted as well where the line search finds nothing better:
-            rounding ends there what the tolerances ask for. (The limit of iterations stays an error.)
+        stalled: multiple of the accepted residual that is accepted as well where the line search finds nothing better
+            or iterations change nothing: rounding ends there what the tolerances ask for. (Their limit stays an error.)
 
     Returns:
         The report.
 
     Raises:
         ValueError: a tolerance or the limit is out of range.
-        SolveError: a residual is not finite, a linear solve failed or the limit was reached: the state is then the
-            last iterate. Or the line search failed: the state is then the iterate from which it searched.
+        SolveError: a residual is not finite, a linear solve failed, the limit was reached or iterations change nothing
+            any more: the state is then the last iterate. Or the line search failed: the state is then the iterate from
+            which it searched.
     """
     checks.whole("max_iterations", max_iterations, 0)
     if keep is not None:
         checks.within("keep", keep, 0.0, 1.0)
     norm = system.assemble_residual()
-    scale = norm if reference is None else checks.not_negative("reference", reference)
+    scale = norm
+    if reference is not None and math.isfinite(norm):
+        scale = checks.not_negative("reference", reference() if callable(reference) else reference)
     checks.not_negative("rtol", rtol)
 
     def accepted() -> float:
         return max(rtol * scale, checks.not_negative("atol", atol() if callable(atol) else atol))
 
     target = accepted()
-    norms, linear, steps, tangents = [norm], list[int](), list[float](), 0
+    norms, linear, steps, tangents, lengths = [norm], list[int](), list[float](), 0, list[float]()
     kept = keep is not None and system.has_tangent
     while math.isfinite(norm) and norm > target:
+        if rounding.stagnates(norms, lengths):
+            if norm <= stalled * target:
+                log.info("Newton stalls at %.2e of an accepted %.2e", norm, target)
+                break
+            raise SolveError(rounding.stagnation(norms, lengths, target))
         if len(steps) == max_iterations:
             raise SolveError(f"Newton did not converge in {max_iterations} iterations: residuals {norms}")
         if not kept:
@@ -271,6 +300,7 @@ def newton(
             kept = False
             continue
         linear.append(int(getattr(system, "iterations", 1)))
+        length = float(increment.norm())
         try:
             step, new = _move(system, increment, norm, line_search)
         except SolveError:
@@ -288,9 +318,12 @@ def newton(
             system.subtract(increment)
             step, new = 0.0, system.assemble_residual()
         kept = keep is not None and new < keep * norm
+        lengths.append(step * length)
         steps.append(step)
         norms.append(new)
         norm = new
+        if callable(atol) and norm > target:
+            target = accepted()
     if not math.isfinite(norm):
         raise SolveError(f"Newton iteration {len(steps)}: the residual is not finite")
     return NewtonReport(tuple(norms), tuple(linear), tuple(steps), tangents)

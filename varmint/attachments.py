@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from varmint.flow import Flow
 
 
+ROUNDED = 0.1
+"""Displacement by length of a cell of which ``tigar_x.rounding.ROUNDING`` times is lost in a deformation gradient."""
+
+
 class SolidInFlow:
     """A solid that shares nodes and velocities with the fluid around it.
 
@@ -72,6 +76,18 @@ class SolidInFlow:
         flow_node[own] = other
         self._to = d * moving.solid_nodes[:, None] + np.arange(d)
         self._from = (d + 1) * flow_node[moving.solid_nodes][:, None] + np.arange(d)
+
+        vertices, cells = compat.cell_vertices(mesh.domain), mesh.cells(*solid.groups)
+        edges = vertices[:, :, None, :] - vertices[:, None, :, :]
+        lengths = np.linalg.norm(edges, axis=-1)[:, *np.triu_indices(vertices.shape[1], 1)]
+        sizes = np.zeros(len(in_fluid))
+        np.maximum.at(sizes, compat.cell_dofs(flow.V)[cells], lengths.min(axis=1)[cells, None])
+        self._lengths = np.repeat(sizes[:, None], d + 1, axis=1) * (np.arange(d + 1) < d)
+
+    def resolution(self) -> FloatArray:
+        """What rounds off in a strain, ``F = 1 + grad u``, as velocities that lead there, shape (dofs of the flow,)."""
+        time = self._moving.time
+        return ROUNDED * self._lengths.ravel() * time.scheme.a0 / (time.x_factor * time.step_size)
 
     def displacement(self) -> FloatArray:
         """Displacement of the solid's nodes that belongs to the present velocity, shape (nodes, d)."""

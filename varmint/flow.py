@@ -247,8 +247,8 @@ class Flow:
     def system(self) -> FiniteElementSystem:
         """Compiled system."""
         return FiniteElementSystem(
-            self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe,
-            constant=self.pressure_dofs, rank_one=self.rank_one, before=self.before,
+            self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe, constant=self.pressure_dofs,
+            rank_one=self.rank_one, before=self.before, resolution=self._solid and self._solid.resolution,
         )  # fmt: skip
 
     def compile(self) -> None:
@@ -371,6 +371,6 @@ class Flow:
 
     def _newton(self, **options: Any) -> NewtonReport:
         o, system = self.options, self.system
-        rtol = STEADY_RTOL if self.time is None else STEP_RTOL[self.recipe.is_direct]
-        rtol = rtol if o.rtol is None else o.rtol
-        return newton(system, rtol=rtol, atol=system.rounding, max_iterations=o.max_iterations, **options)
+        default = STEADY_RTOL if self.time is None else STEP_RTOL[self.recipe.is_direct]
+        options |= {"atol": system.rounding, "reference": system.reference_norm, "max_iterations": o.max_iterations}
+        return newton(system, rtol=default if o.rtol is None else o.rtol, **options)

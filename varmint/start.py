@@ -57,6 +57,8 @@ def consistent_start(flow: "Flow") -> None:
     if time is None:
         raise ValueError("dt = None: only an unsteady flow has initial rates")
     others = () if flow.moving is None else (flow.moving.time,)
+    for outlet in flow.rank_one:
+        outlet.update()
     form, unknown = time.initial_form(_differentiated(flow, time), *others)
     _prescribe_rates(flow, time, unknown)
     system = FiniteElementSystem(form, unknown, flow.bcs, solver=flow.recipe, constant=flow.pressure_dofs)
