@@ -248,7 +248,7 @@ class Flow:
         """Compiled system."""
         return FiniteElementSystem(
             self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe, constant=self.pressure_dofs,
-            rank_one=self.rank_one, before=self.before, resolution=self._solid and self._solid.resolution,
+            rank_one=self.rank_one, before=self.before, resolution=getattr(self._solid, "resolution", None),
         )  # fmt: skip
 
     def compile(self) -> None:
