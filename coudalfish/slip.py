@@ -62,7 +62,7 @@ class SlipWindow:
     def __init__(self) -> None:
         self._squares: deque[tuple[float, float, float]] = deque(maxlen=WINDOW)
 
-    def add(self, slip: FloatArray, n: FloatArray, W: FloatArray, speed: float) -> None:
+    def add(self, slip: FloatArray, n: FloatArray, W: FloatArray, speed: float) -> Slip | None:
         """Take in a step.
 
         Args:
@@ -70,12 +70,16 @@ class SlipWindow:
             n: normals of any length, shape (points, d).
             W: areas, zero at inactive points, shape (points,).
             speed: what the slip is compared with.
+
+        Returns:
+            Slip of this step alone; None: nothing moves.
         """
         length = np.linalg.norm(n, axis=1, keepdims=True)
         unit = np.divide(n, length, out=np.zeros_like(n), where=length > 0.0)
         normal = (slip * unit).sum(axis=1, keepdims=True) * unit
         parts = root_mean_square(W, normal), root_mean_square(W, slip - normal)
         self._squares.append((parts[0] ** 2, parts[1] ** 2, speed**2))
+        return Slip(parts[0] / speed, parts[1] / speed) if speed > 0.0 else None
 
     @property
     def slip(self) -> Slip | None:
