@@ -156,8 +156,8 @@ class Watch:
             step.c.warn_once(
                 "slip",
                 "slip ratio lam dt/(beta h) = %.3g exceeds %g while the fluid passes the shell with %.2g of the speed: "
-                "a change of load by lam moves the fluid through the shell by that part of a cell; reduce dt or raise "
-                "the penalty (beta = %.3g)",
+                "a change of load by lam moves the fluid through the shell by that part of a cell; where loads go on "
+                "changing reduce dt or raise the penalty (beta = %.3g)",
                 ratio,
                 SLIP_LIMIT,
                 now.normal,
