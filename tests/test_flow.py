@@ -295,7 +295,7 @@ def test_two_outlets():
     assert sum(rates.values()) == pytest.approx(0.0, abs=1e-9)
     assert 2e5 * rates["right"] == pytest.approx(1e5 * rates["top"] + 7.0, rel=1e-3)
     assert rates["right"] == pytest.approx(-rates["left"] / 3, rel=1e-3)
-    behind = [float(outlet.pressure.value) for outlet in flow._outlets]
+    behind = [float(outlet.pressure.value) for outlet in flow.rank_one]
     np.testing.assert_allclose(behind, [2e5 * rates["right"], 1e5 * rates["top"] + 7.0], rtol=1e-9)
 
 

@@ -120,7 +120,8 @@ class OutletPressure:
         flow: the flow.
 
     Attributes:
-        pressure: Constant, in the residual.
+        groups: facet groups.
+        pressure: Constant, in the residual: after a step the pressure in its equations, at their level of time.
         load: linear form, derivative of the residual by the pressure.
         slope: linear form, derivative of the pressure by the unknown.
     """
@@ -129,7 +130,7 @@ class OutletPressure:
         f = flow.fields
         domain, motion, ds = f.mesh.domain, f.motion, f.ds(condition.groups)
         n = ale.normal(domain, motion)
-        self._condition = condition
+        self._condition, self.groups = condition, condition.groups
         self.pressure = fem.Constant(domain, float(condition.pressure))
         self._rate = ale.per_area(ufl.dot(f.v, n), domain, motion) * ds
         self._compiled: Any = None
@@ -138,7 +139,7 @@ class OutletPressure:
         self.slope = fem.Constant(domain, condition.resistance * level) * self.load
 
     def flow_rate(self) -> float:
-        """Flow rate at the present state (collective); unit: volume/time."""
+        """Flow rate at the present state, in a step that of its equations (collective); unit: volume/time."""
         if self._compiled is None:
             (self._compiled,) = compat.compile_forms(self._rate)
         return compat.assemble_scalar(self._compiled)

@@ -278,7 +278,7 @@ class Flow:
         if self.moving is not None:
             x = x + self.moving.time.x_old
         t = fem.Constant(domain, 0.0 if self.time is None else self.time.time)
-        u, p = given(velocity, x, t), given(pressure, x, t)
+        u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
         components = [0.0] * d if u is None else list(vector("velocity", u, d))
         checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
         state = ufl.as_vector([*components, 0.0 if p is None else p])

@@ -138,7 +138,7 @@ class PrescribedMotion(MeshMotion):
         super().__init__(mesh, dt, scheme, degree)
         domain, time = mesh.domain, self.time
         x, t = ufl.SpatialCoordinate(domain), ufl.variable(time.t)
-        u = displacement(x, t)
+        u = compat.ask("displacement", displacement, x, t)
         _check_shape("displacement", u, domain)
         rate = ufl.diff(u, t)
         self._move = compat.Interpolation(time.x, u)
@@ -207,7 +207,7 @@ class ElasticMotion(MeshMotion):
             dofs = compat.nodes_on_facets(V, mesh.facets(name))
             held.append(dofs)
             if data is not None:
-                target, value = fem.Function(V), data(x, self.time.t)
+                target, value = fem.Function(V), compat.ask(f"displacements[{name!r}]", data, x, self.time.t)
                 _check_shape(f"displacements[{name!r}]", value, domain)
                 self._data.append((compat.Interpolation(target, value), target, self._unblocked(dofs)))
         if cells:
