@@ -100,6 +100,23 @@ def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray
     return result
 
 
+def label(name: str, value: str, without: str = "") -> str:
+    """Text that can name something in a file: printable, not only dots and blanks, without some characters.
+
+    Args:
+        name: of the argument.
+        value: the text.
+        without: characters that it must not have.
+
+    Raises:
+        ValueError: it is no such text.
+    """
+    if not value.strip(". ") or not value.isprintable() or set(value) & set(without):
+        besides = f" other than {' '.join(without)}" if without else ""
+        raise ValueError(f"{name} = {value!r}: printable characters{besides} are required")
+    return value
+
+
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     """One of the allowed values, else ValueError."""
     if value not in allowed:
