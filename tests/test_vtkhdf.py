@@ -247,6 +247,7 @@ def test_vtkhdf_that_cannot_be_written_fails_on_all_ranks_and_stays_as_it_was(pa
     x, _, steps = read_vtkhdf(path)
     assert [t for t, _ in steps] == [0.0, 2.0]
     assert_is(steps[1][1], x, 3.0)
+    WORLD.barrier()  # all have read it
     if WORLD.rank == 0:
         shutil.rmtree(path.parent)
         path.parent.write_text("a file where a folder should be")
