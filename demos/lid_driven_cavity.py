@@ -69,7 +69,7 @@ def build(
         mu=nu,
         degree=degree,
         f=lambda x, t: share * force(x, drift, nu),
-        options=FlowOptions(**({"C_I": 6.0 * degree**4} | options)),
+        options=FlowOptions(**({"C_I": 6.0 * degree**4, "pin_at": (0.0, 0.0)} | options)),
     )
 
 

@@ -91,7 +91,7 @@ def build(
         dt=dt,
         scheme=scheme,
         moving=moving,
-        options=FlowOptions(**({"C_I": 6.0 * degree**4} | options)),
+        options=FlowOptions(**({"C_I": 6.0 * degree**4, "pin_at": low} | options)),
     )
     flow.start(velocity, projected=True)
     return flow

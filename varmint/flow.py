@@ -197,7 +197,7 @@ class Flow:
     def bcs(self) -> list[Any]:
         """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
         pin = self.is_closed and not self._by_null_space
-        return [*self._bcs, pressure_pin(self.V, self.options.pin_at)] if pin else self._bcs
+        return [*self._bcs, pressure_pin(self)] if pin else self._bcs
 
     @cached_property
     def updates(self) -> tuple[Callable[[float], None], ...]:
