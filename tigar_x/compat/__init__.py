@@ -62,7 +62,6 @@ from tigar_x.compat.spaces import (
     tabulate,
     tabulate_gradients,
 )
-from tigar_x.compat.symbols import ask
 
 __all__ = [
     "VERSION",
@@ -85,7 +84,6 @@ __all__ = [
     "subcells",
     "tabulate",
     "tabulate_gradients",
-    "ask",
     "bounding_box_tree",
     "candidate_cells",
     "cell_name",
