@@ -34,6 +34,20 @@ def test_panel(side):
     assert no_rotation(PANEL, side).shape == (len(PANEL.side(side)), PANEL.n * 3)
 
 
+@pytest.mark.parametrize("side", ["end_0", "end_1", "straight_0", "straight_1"])
+def test_normals_of_a_cylinder_are_radial(side):
+    """Also where the weight varies across the edge, which the slope of the homogeneous points alone would not see."""
+    edge = PANEL.side(side)
+    G = no_rotation(PANEL, side).toarray().reshape(len(edge), PANEL.n, 3)
+    for row in G:
+        (first,) = edge[np.abs(row[edge]).max(axis=1) > 0.0]
+        (second,) = np.flatnonzero(np.abs(np.delete(row, first, axis=0)).max(axis=1) > 0.0)
+        second += second >= first
+        x = PANEL.evaluate(PANEL.basis.greville[[first]])[0]
+        np.testing.assert_allclose(row[second] * PANEL.weights[second], [0.0, x[1] / 2.0, x[2] / 2.0], atol=1e-13)
+        np.testing.assert_allclose(row[first] * PANEL.weights[first], [0.0, -x[1] / 2.0, -x[2] / 2.0], atol=1e-13)
+
+
 def test_straight_beam():
     """Across the axis the second control point moves with the first, along it as it likes."""
     line = shapes.line((0.0, 0.0), (3.0, 0.0), elements=4, degree=2)

@@ -181,3 +181,10 @@ def test_points_of_no_patch_and_patches_without_area(arrays, patches):
     assert W[mine] @ new[mine] == pytest.approx(W[mine] @ whole[mine], rel=1e-12)
     nowhere = relaxed(lam, n, 0.0 * W, np.full(POINTS, -1), 0.3, active=np.zeros(POINTS, dtype=bool), u=u)
     np.testing.assert_array_equal(nowhere, lam)
+
+
+def test_slip_is_averaged_over_the_area():
+    slip, n, W = np.array([[0.0, 5.0], [2.0, 7.0]]), np.array([[1.0, 0.0]] * 2), np.array([1.0, 3.0])
+    figures = measure(slip, n, W, np.zeros((2, 2)), np.zeros(2), np.zeros(2))
+    assert figures.normal_slip_rms == pytest.approx(np.sqrt(3.0))
+    assert figures.normal_slip_max == 2.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from tigar_x import shapes
+from tigar_x import compat, shapes, surfaces
 from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.patch import Patch
 from tigar_x.quadrature import NodalQuadrature
@@ -62,6 +62,21 @@ def test_rational_weights(factor):
     middle = np.argmin(abs(q.points[:, 0] - q.points[:, 1]))
     np.testing.assert_allclose(q.rational[middle], factor * (0.5 + 0.5 * np.sqrt(0.5)), rtol=1e-14)
     np.testing.assert_allclose(np.delete(q.rational, middle), factor, rtol=1e-14)
+
+
+def test_what_a_pole_takes_comes_from_the_nodes_of_its_cells_alone():
+    spline = ExtractedSpline(surfaces.sphere_cap(radius=1.0, angle=1.2, elements=(3, 4), degrees=(2, 2)), MPI.COMM_SELF)
+    q, before = NodalQuadrature.of(spline), spline.node_areas
+    cells = compat.cell_dofs(spline.scalar.V)
+    near = np.unique(cells[(before[cells] < 0.0).any(axis=1)])
+    far = np.setdiff1d(np.arange(len(before)), near)
+    assert len(near) > 0
+    assert len(far) > len(near)
+    np.testing.assert_array_equal(q.weights[far], before[far])
+    givers = near[before[near] > 1e-13]
+    assert (q.weights[givers] < before[givers]).all()
+    assert q.weights.min() >= 0.0
+    assert q.weights.sum() == pytest.approx(before.sum(), rel=1e-13)
 
 
 @pytest.mark.mpi

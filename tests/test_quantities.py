@@ -439,6 +439,57 @@ def test_vorticity_on_a_moved_mesh():
     np.testing.assert_allclose(own(vorticity(flow)(), 1)[1], 3.0, rtol=1e-12)
 
 
+def moved_and_still(displacement, degree=1):
+    """A flow on a mesh that has moved, and one on a mesh that lies there, with the same velocity."""
+    mesh = brick(n=4)
+    moving = PrescribedMotion(mesh, lambda x, t: ufl.as_vector(displacement(x, t)), 0.1, backward_euler())
+    moved = still(mesh, degree=degree, dt=0.1, scheme=backward_euler(), moving=moving)
+    there = brick(n=4)
+    x = there.domain.geometry.x
+    shift = np.array([[float(u) for u in displacement(list(point), 0.0)] for point in x])
+    x[:, :2] += shift
+    both = moved, still(there, degree=degree)
+    for flow in both:
+        flow.start(lambda x, t: ufl.as_vector([x[0] * x[1] ** 2, x[0] ** 3 - x[1] * x[0]]))
+    return both
+
+
+@pytest.mark.parametrize(
+    "field", [vorticity, lambda flow: wall_shear_stress(flow, "left", "top")], ids=["curl", "wall"]
+)
+def test_fields_of_a_moved_mesh_are_those_of_the_mesh_that_lies_there(field):
+    """Cells and facets are stretched by different factors, and the fields differ from cell to cell."""
+    both = moved_and_still(lambda x, t: [0.8 * x[0] * x[0], 0.3 * x[1] * x[0] - 0.4 * x[1] * x[1]])
+    (_, moved), (_, there) = (own(field(flow)(), 1 if field is vorticity else 2) for flow in both)
+    assert np.ptp(there) > 0.1
+    np.testing.assert_allclose(moved, there, rtol=1e-11, atol=1e-12)
+
+
+def test_a_rigid_rotation_has_no_wall_shear_stress():
+    flow = still(brick())
+    flow.start(lambda x, t: ufl.as_vector([-1.5 * x[1], 1.5 * x[0]]))
+    np.testing.assert_allclose(own(wall_shear_stress(flow, *SIDES)(), 2)[1], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_forms_on_a_curved_mesh_are_integrated_exactly(degree):
+    """J of a displacement of degree m has degree 2 (m - 1) in the plane, on top of the 2 k of the flow."""
+
+    def energy(**options):
+        mesh = brick()
+        bend = PrescribedMotion(
+            mesh, lambda x, t: ufl.as_vector([0.2 * x[1] ** 2, 0.3 * x[0] * x[1] + t]), 0.1, backward_euler(), degree=2
+        )
+        flow = still(mesh, degree=degree, dt=0.1, scheme=backward_euler(), moving=bend, **options)
+        flow.start(lambda x, t: ufl.as_vector([x[0] ** degree, x[1] ** degree - x[0]]))
+        return Measured(e=kinetic_energy(flow))()["e"], flow.fields.degree
+
+    (found, used), (exact, _) = energy(), energy(options=FlowOptions(quadrature_degree=10))
+    less, _ = energy(options=FlowOptions(quadrature_degree=used - 2))
+    assert found == pytest.approx(exact, rel=1e-12)
+    assert abs(less - exact) > 1e-9
+
+
 @pytest.mark.mpi
 def test_ghosts_of_a_nodal_field_are_those_of_their_owners():
     flow = still(brick(), degree=2)

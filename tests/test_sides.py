@@ -199,6 +199,18 @@ def test_data_and_their_slopes():
     assert gaps[1][1] > 1.0
 
 
+def test_fit_of_data_and_slopes_does_not_depend_on_the_unit_of_length():
+    """Data that are not in the space: values and slopes are weighed against each other by the length."""
+    found = []
+    for L in (1.0, 100.0):
+        patch = shapes.parallelogram((0, 0), (L, 0), (0.3 * L, 0.8 * L), elements=(3, 2), degrees=(2, 2))
+        s = ExtractedSpline(patch)
+        f = ufl.sin(3.0 * s.F[1] / L + s.F[0] / L) + ufl.exp(s.F[0] / L)
+        found.append(s.scalar.coefficients(s.project_boundary(f, slope_length=0.4 * L)))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-11)
+    assert np.abs(found[0]).max() > 1.0
+
+
 @pytest.mark.parametrize("name", ["annulus", "disc", "joined"])
 def test_harmonic_field_of_its_boundary_data(name):
     s = spline(name)
