@@ -618,20 +618,20 @@ def test_a_search_that_was_stopped_leaves_nothing_behind(monkeypatch):
     assert self_contact.evaluate(cloud.x).pairs == cloud.contact().evaluate(cloud.x).pairs > 0
 
 
-def two_points(distance, W=(2.0, 3.0)):
+def a_pair(distance, W=(2.0, 3.0)):
     """Contact of two points that were far from each other, and where they are now."""
     rule = NodalQuadrature(np.array([[0.0, 0.0], [9.0, 0.0]]), np.array(W), np.array([1.0, 1.4]))
     return SelfContact(rule, LINEAR, 1.0), np.array([[0.0, 0.0], [distance, 0.0]])
 
 
 def test_load_of_two_points():
-    touching, x = two_points(0.7 * R_MAX)
+    touching, x = a_pair(0.7 * R_MAX)
     assert touching.evaluate(x).load == pytest.approx(2.0 * 3.0 * 3.0 * 0.3 * R_MAX, rel=1e-12)
 
 
 @pytest.mark.parametrize(("distance", "seen"), [(R_MAX + 1.5 * 0.1, True), (R_MAX + 2.5 * 0.1, False)])
 def test_both_of_two_points_may_come_closer(distance, seen):
     """Each moves by 0.1 in the step: what is nearer than r_max + 0.2 may touch within it, with twice the speed."""
-    touching, x = two_points(distance)
+    touching, x = a_pair(distance)
     speed = touching.closing_speed(x, np.array([[1.0, 0.0], [-1.0, 0.0]]), 0.1)
     assert speed == pytest.approx(2.0 if seen else 0.0)
