@@ -263,7 +263,7 @@ def wall_shear_stress(flow: Flow, *names: str) -> NodalField:
     """
     domain, motion = flow.mesh.domain, flow.fields.motion_end
     n = ale.normal(domain, motion)
-    traction = -flow.mu * ale.gradient(_velocity(flow), motion) * n
+    traction = -2 * flow.mu * ufl.sym(ale.gradient(_velocity(flow), motion)) * n
     shear = traction - ufl.dot(traction, n) * n
     measure = flow.mesh.ds(*names, degree=flow.fields.degree)
     return NodalField(flow, "wall_shear_stress", shear, measure, ale.per_area(1.0, domain, motion))

@@ -1,0 +1,213 @@
+"""Levels of time, weights and units: what would notice that one of them is not there."""
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+from dolfinx import fem
+from scenes import sheet_in_flow
+
+from coudalfish import CouplingOptions, FluidSubproblem, exchange
+from coudalfish.trace import PointLocator, trace_matrix
+from tigar_x import compat
+from tigar_x.solve import FiniteElementSystem
+from tigar_x.time_integration import generalized_alpha
+from varmint.conditions import Traction, Velocity
+from varmint.flow import Flow, FlowOptions
+from varmint.mesh import box, named
+from varmint.motion import ElasticMotion
+from varmint.solids import Solid, StVenantKirchhoff, mesh_residual
+
+COMM = MPI.COMM_SELF
+SIDES = ("left", "right", "bottom", "top")
+
+
+def dense(A):
+    """PETSc's matrix of one rank as an array."""
+    rows, columns = A.getSize()
+    return A.getValues(np.arange(rows, dtype=np.int32), np.arange(columns, dtype=np.int32))
+
+
+# -- penalty ----------------------------------------------------------------------------------------------------------
+
+
+def test_penalty_tangent_of_a_rational_shell_is_the_slope_of_its_residual():
+    s = sheet_in_flow(weights=lambda n: 1.0 + 0.6 * np.sin(np.arange(n)), solver=None)
+    shell, beta, rng = s.shell, 7.0, np.random.default_rng(0)
+    assert np.ptp(shell.quadrature.rational) > 0.3
+    W, zero = shell.quadrature.weights, np.zeros((len(shell.quadrature.points), 2))
+    shell.timeInt.predict()
+    direction = rng.normal(size=(shell.spline.geometry.n, 2))
+    start, step = shell.timeInt.x.x.array.copy(), shell.spline.function(direction).x.array
+
+    def residual(t):
+        shell.timeInt.x.x.array[:] = start + t * step
+        found = []
+        for penalty in (beta, 0.0):
+            load = exchange.point_forces(zero, shell.velocity(), zero[:, 0], zero, W, penalty=penalty)
+            shell.assemble_residual(load)
+            found.append(shell.system.b.array_r.copy())
+        return found[0] - found[1]
+
+    slope = (residual(1.0) - residual(-1.0)) / 2.0
+    shell.timeInt.x.x.array[:] = start
+    parts = []
+    for penalty in (beta, 0.0):
+        shell.assemble_tangent(W, penalty)
+        parts.append(dense(shell.system.A))
+    np.testing.assert_allclose((parts[0] - parts[1]) @ direction.ravel(), slope, rtol=1e-9, atol=1e-9)
+    assert np.abs(slope).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", ["consistent", "lumped"])
+def test_penalty_tangent_of_the_fluid_is_the_slope_of_its_forces(kind, monkeypatch):
+    """In a step of rho_infinity = 1/2, whose equations hold at alpha_f = 2/3; a lumped one has the same row sums."""
+    s = sheet_in_flow(traction=0.5, options=CouplingOptions(fluid_tangent=kind))
+    parts, assemble = [], s.fluid.assemble_tangent
+
+    def note(trace, part):
+        parts.append((trace, part))
+        assemble(trace, part)
+
+    monkeypatch.setattr(s.fluid, "assemble_tangent", note)
+    s.fsi.takeStep()
+    trace, K = parts[0]
+    W, beta = s.shell.quadrature.weights, s.fsi.penalty
+    rng = np.random.default_rng(1)
+    nodal = np.ones(len(trace.nodes)) if kind == "lumped" else rng.normal(size=len(trace.nodes))
+    before = s.fluid.velocity_at(trace)
+    s.w.x.array[s.fluid.velocity_dofs[trace.nodes, 1]] += nodal
+    change = s.fluid.velocity_at(trace)[:, 1] - before[:, 1]
+    np.testing.assert_allclose(K @ nodal, trace.transposed @ (beta * W * change), rtol=1e-10, atol=1e-12)
+    assert np.abs(change).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", [exchange.consistent_tangent, exchange.lumped_tangent])
+def test_held_velocities_stay_unit_rows_under_the_penalty(kind):
+    """Points in cells at a wall whose nodes are held: their rows and columns feel nothing of the penalty."""
+    flow = Flow(
+        box(COMM, (0.0, 0.0), (1.0, 1.0), (4, 4)),
+        [Velocity(("left", "bottom", "top")), Traction("right")],
+        rho=1.0,
+        mu=0.1,
+        dt=0.1,
+    )
+    fluid = FluidSubproblem(flow.mesh.domain, flow.residual, flow.time, bcs=flow.bcs, updates=flow.updates)
+    x = np.column_stack([np.linspace(0.02, 0.97, 20), np.full(20, 0.1)])
+    trace = trace_matrix(fluid.velocity_space, PointLocator(flow.mesh.domain).locate(x))
+    part = kind(trace.B, np.full(20, 0.05), penalty=30.0, factor=0.7)
+    fluid.assemble_tangent(trace, 0.0 * part)
+    plain = dense(fluid.system.A)
+    fluid.assemble_tangent(trace, part)
+    loaded = dense(fluid.system.A)
+    held = fluid.system.constrained
+    assert len(np.intersect1d(held, fluid.velocity_dofs[trace.nodes])) > 4
+    unit = np.eye(len(loaded))
+    np.testing.assert_array_equal(loaded[held], unit[held])
+    np.testing.assert_array_equal(loaded[:, held], unit[:, held])
+    assert np.abs(loaded - plain).max() > 0.1
+
+
+# -- units and scales -------------------------------------------------------------------------------------------------
+
+
+def test_residuals_go_with_the_unit_of_force():
+    """In another unit of mass all forces change by a factor; continuity, a volume per time, has to be weighed."""
+    found = []
+    for unit in (1.0, 1e3):
+        s = sheet_in_flow((0.0, 0.0), rho=unit, mu=0.1 * unit, rho_s=unit, stiffness=10.0 * unit, traction=0.5 * unit)
+        report = s.fsi.takeStep()
+        found.append(np.array(report.residuals) / unit)
+    assert found[0].shape == found[1].shape
+    np.testing.assert_allclose(found[1][:-1], found[0][:-1], rtol=1e-6, atol=1e-12)
+    continuity = s.fluid.system.b.duplicate()
+    continuity.array = 1.0 - s.fluid._is_velocity
+    assert s.fluid.norm(continuity, 3.0) == pytest.approx(3.0 * s.fluid.norm(continuity, 1.0)) != 0.0
+
+
+def test_each_scale_of_the_band_is_its_own():
+    s = sheet_in_flow(options=CouplingOptions(scale_m=0.3, scale_c=0.02))
+    s.fsi.takeStep()
+    for scale, value in ((s.fluid.band.scale_m, 0.3), (s.fluid.band.scale_c, 0.02)):
+        assert set(scale.x.array) == {1.0, value}
+
+
+# -- a flow's start, solids and the mesh around them ------------------------------------------------------------------
+
+
+def test_a_consistent_start_does_not_know_the_step_where_tau_does_not():
+    states = []
+    for dt in (0.1, 0.003):
+        flow = Flow(
+            box(COMM, (0.0, 0.0), (1.0, 1.0), (4, 4)),
+            [Velocity(SIDES)],
+            rho=1.3,
+            mu=0.7,
+            dt=dt,
+            f=lambda x, t: ufl.as_vector([ufl.sin(3 * x[1]), x[0] * x[1]]),
+            options=FlowOptions(tau_dt=0.05),
+        )
+        flow.start(lambda x, t: 16 * ufl.as_vector([x[1] * (1 - x[1]), 0.0]) * x[0] * (1 - x[0]))
+        flow.consistent_start()
+        states.append(np.append(flow.w.x.array, flow.time.xdot_old.x.array))
+    np.testing.assert_allclose(states[1], states[0], rtol=1e-6, atol=1e-7)
+    assert np.abs(states[0]).max() > 0.1
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_stress_of_the_fictitious_solid_by_numbers(d):
+    """``F S`` of a uniform deformation with shear, against ``sum_i f_i x_i``, the virial of the nodal forces."""
+    mesh = box(COMM, (0.0,) * d, (1.0,) * d, (2,) * d)
+    V = compat.lagrange_space(mesh.domain, 1, d)
+    u, x = fem.Function(V), ufl.SpatialCoordinate(mesh.domain)
+    A = np.array([[0.1, 0.3, -0.1], [-0.2, 0.05, 0.2], [0.0, 0.1, -0.15]])[:d, :d]
+    compat.interpolate(u, ufl.dot(ufl.as_matrix(A.tolist()), x))
+    form = mesh_residual(u, ufl.TestFunction(V), mesh.domain, mesh.dx(degree=2), stiffening=0.0, size_stiffening=0.0)
+    system = FiniteElementSystem(form, u)
+    system.assemble_residual()
+    forces = system.b.array_r.reshape(-1, d)
+    virial = forces.T @ V.tabulate_dof_coordinates()[:, :d]
+    F = np.eye(d) + A
+    E = (F.T @ F - np.eye(d)) / 2
+    S = np.trace(E) * np.eye(d) + 2 * (E - np.trace(E) / 3 * np.eye(d))
+    np.testing.assert_allclose(virial, F @ S, rtol=1e-12, atol=1e-13)
+
+
+def test_a_solid_in_a_flow_is_strained_at_the_level_of_its_equations():
+    """rho_infinity = 1/2: its stress is that of alpha_f times the displacement that its velocity gives in a step."""
+    half = lambda x: x[0] < 0.5 + 1e-9  # noqa: E731
+    mesh = named(
+        box(COMM, (0.0, 0.0), (1.0, 1.0), (4, 4)).domain,
+        cells={"solid": half, "fluid": lambda x: x[0] > 0.5 - 1e-9},
+        left=lambda x: np.isclose(x[0], 0.0),
+        rest=[lambda x, i=i, v=v: np.isclose(x[i], v) for i, v in ((0, 1.0), (1, 0.0), (1, 1.0))],
+    )
+    scheme, dt = generalized_alpha(0.5), 0.1
+    moving = ElasticMotion(mesh, dict.fromkeys(("left", "rest")), dt, scheme, cells=("fluid",))
+    flow = Flow(
+        mesh,
+        [Velocity("left"), Traction("rest")],
+        rho=1.0,
+        mu=0.1,
+        dt=dt,
+        scheme=scheme,
+        moving=moving,
+        solid=Solid(StVenantKirchhoff(100.0, 0.3, 1e-12)),
+    )
+    A = np.array([[0.5, 0.8], [-0.3, 0.2]])
+    flow.time.predict()
+    rate = moving.time.x_from_rate_array
+    x = flow.V.tabulate_dof_coordinates()[:, :2]
+    w = flow.w.x.array.reshape(-1, 3)
+    w[:, :2] = x @ A.T
+    nodes = moving.time.x.function_space.tabulate_dof_coordinates()[:, :2]
+    shift = rate((nodes @ A.T).ravel(), np.arange(2 * len(nodes), dtype=np.int32)).reshape(-1, 2)
+    gradient = np.linalg.lstsq(nodes, shift, rcond=None)[0].T
+    assert np.abs(gradient).max() > 1e-3
+    system = FiniteElementSystem(flow._solid.residual, flow.w)
+    system.assemble_residual()
+    virial = system.b.array_r.reshape(-1, 3)[:, :2].T @ x
+    F = np.eye(2) + scheme.alpha_f * gradient
+    P = StVenantKirchhoff(100.0, 0.3, 1.0).first_piola_kirchhoff(ufl.as_matrix(F.tolist()))
+    expected = 0.5 * np.array([[float(P[i, j](())) for j in range(2)] for i in range(2)])
+    np.testing.assert_allclose(virial, expected, rtol=1e-9, atol=1e-10)
