@@ -39,12 +39,12 @@ setup: ## install Debian's packages and make .venv, whatever is missing of them
 	@$(SETUP)
 
 demo: setup ## run the fluid-membrane benchmark with its convergence table, a shell, a flow and valves, into results/
-	$(PYTHON) demos/manufactured.py --level 4 --out results/manufactured
+	$(PYTHON) demos/manufactured.py --level 4 --overwrite --out results/manufactured
 	$(PYTHON) benchmarks/manufactured.py --levels 1,2,3,4 --presets reference,default --out results/manufactured
-	$(PYTHON) demos/scordelis_lo.py --out results/scordelis_lo
-	$(PYTHON) demos/lid_driven_cavity.py --degree 2 --out results/lid_driven_cavity
-	$(PYTHON) demos/valve_2d.py --elements 16 --out results/valve_2d
-	$(PYTHON) demos/heart_valve.py --resolution 8 --dt 2e-4 --until 0.02 --frames 10 --out results/heart_valve
+	$(PYTHON) demos/scordelis_lo.py --overwrite --out results/scordelis_lo
+	$(PYTHON) demos/lid_driven_cavity.py --degree 2 --overwrite --out results/lid_driven_cavity
+	$(PYTHON) demos/valve_2d.py --elements 16 --overwrite --out results/valve_2d
+	$(PYTHON) demos/heart_valve.py --resolution 8 --dt 2e-4 --until 0.02 --frames 10 --overwrite --out results/heart_valve
 
 test: setup ## run the tests, but for the slow ones
 	$(PYTHON) -m pytest -m "not slow"

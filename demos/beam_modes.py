@@ -34,6 +34,7 @@ from tigar_x.output import VTUSeries
 from tigar_x.patch import Patch
 from tigar_x.refinement import Study, doubled, refine
 from tigar_x.spline import ExtractedSpline
+from tigar_x.writing import claim, root_only
 
 TOY = {"degree": 2, "elements": 8, "levels": 3, "modes": 3}
 SUPPORTS = {"clamped-free": ("u0",), "simply-supported": ("u0", "u1")}
@@ -119,6 +120,7 @@ def main(
     levels: int = 4,
     modes: int = 4,
     out: Path = Path("results/beam_modes"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Compute the modes of a thin beam on finer and finer splines and compare the eigenvalues with the exact ones.
@@ -131,6 +133,7 @@ def main(
         levels: number of levels, 2 or more.
         modes: number of modes, 1 to 5; far above, vibrations along the beam come in between.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write the modes for ParaView and a picture.
 
     Returns:
@@ -139,6 +142,7 @@ def main(
     data = Data()
     p, count = checks.whole("degree", degree, 2), checks.choice("modes", modes, (1, 2, 3, 4, 5))
     patch = coarse_patch(geometry, data.length).with_degree(p)
+    claim(out, overwrite=overwrite)
     study, solution = refine(
         lambda n: solve(patch.refined(n), support, count, data),
         errors,
@@ -186,8 +190,12 @@ def draw(path: Path, solution: Solution, study: Study) -> None:
     xi = np.linspace(0.0, 1.0, 201)[:, None]
     x = solution.spline.geometry.evaluate(xi)[:, 0]
     curves = [(frequency, solution.spline.evaluate(mode, xi)[:, 1]) for frequency, mode in unit_modes(solution)]
-    if MPI.COMM_WORLD.rank:
-        return
+    picture(path, x, curves, study)
+
+
+@root_only
+def picture(path: Path, x: FloatArray, curves: list[tuple[float, FloatArray]], study: Study) -> None:
+    """What :func:`draw` shows."""
     import matplotlib
 
     matplotlib.use("Agg")

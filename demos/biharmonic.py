@@ -26,12 +26,13 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import checks, compat, script, shapes, surfaces
-from tigar_x.compat import IntArray
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.output import VTUSeries
 from tigar_x.patch import Patch
 from tigar_x.refinement import Study, doubled, refine
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.writing import claim, root_only
 
 TOY = {"degree": 2, "elements": 3, "levels": 3}
 WAVE = (3.0, 2.0)
@@ -110,6 +111,7 @@ def main(
     elements: int = 4,
     levels: int = 4,
     out: Path = Path("results/biharmonic"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Solve the plate's problem on finer and finer splines and compare the rates with theory.
@@ -120,12 +122,14 @@ def main(
         elements: per direction on the coarsest level; doubled from level to level.
         levels: number of levels, 2 or more.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write a ParaView file and a picture of the finest level.
 
     Returns:
         The summary.
     """
     patch = coarse_patch(geometry).with_degree(checks.whole("degree", degree, 2))
+    claim(out, overwrite=overwrite)
     study, solution = refine(
         lambda n: solve(patch.refined(n), 1.0 / n), errors, doubled(elements, levels), expected_rates(degree)
     )
@@ -148,15 +152,19 @@ def draw(path: Path, solution: Solution, study: Study) -> None:
     axes = np.meshgrid(*[np.linspace(0.0, 1.0, samples)] * 2, indexing="ij")
     xi = np.column_stack([axis.ravel() for axis in axes])
     values = spline.evaluate(solution.u, xi).reshape(samples, samples)
-    if MPI.COMM_WORLD.rank:
-        return
+    picture(path, spline.geometry.evaluate(xi), values, study)
+
+
+@root_only
+def picture(path: Path, points: FloatArray, values: FloatArray, study: Study) -> None:
+    """What :func:`draw` shows, from values at points."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    x, y = (spline.geometry.evaluate(xi)[:, i].reshape(samples, samples) for i in (0, 1))
+    x, y = (points[:, i].reshape(values.shape) for i in (0, 1))
     shade = left.pcolormesh(x, y, values, shading="gouraud", cmap="viridis")
     figure.colorbar(shade, ax=left, label="$u$")
     left.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", title="deflection")

@@ -48,6 +48,7 @@ from tigar_x.output import VTUSeries
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import LoadStepper
+from tigar_x.writing import claim, root_only
 
 DOI = "10.1016/j.finel.2003.11.001"
 PUBLISHED = {0.25: (-0.563, 3.015), 0.5: (-1.604, 4.933), 1.0: (-3.286, 6.698)}  # U, W by P/P_max
@@ -234,6 +235,7 @@ def main(
     formulation: Formulation = "displacement",
     study: bool = False,
     out: Path = Path("results/cantilever"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Bend a cantilever by a force or a moment at its end and compare its tip with published or exact positions.
@@ -247,6 +249,7 @@ def main(
         formulation: displacements alone, or with membrane forces as unknowns, which does not lock.
         study: whether to compare degrees, formulations and thicknesses of 1e-1 to 1e-4 of the length as well.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files and pictures.
 
     Returns:
@@ -256,6 +259,7 @@ def main(
     if checks.positive("thickness", thickness) > data.length / 10:
         raise ValueError(f"thickness = {thickness}: at most {data.length / 10:g}, a tenth of the length, is allowed")
     data = replace(data, thickness=thickness)
+    claim(out, overwrite=overwrite)
     strip = Strip(data, load, dim, degree, elements, formulation)
     pictures = VTUSeries(out / "cantilever", strip.spline, y=strip.y) if viz else None
     path = follow(strip, pictures.write if pictures else None)
@@ -341,10 +345,9 @@ def thickness_study(load: str, dim: int, elements: int) -> list[dict[str, Any]]:
     return rows
 
 
+@root_only
 def draw(out: Path, path: LoadPath, table: list[dict[str, Any]] | None) -> None:
     """Deformed shapes and the way of the tip with the known positions, and the errors of the study."""
-    if MPI.COMM_WORLD.rank:
-        return
     import matplotlib
 
     matplotlib.use("Agg")

@@ -22,6 +22,7 @@ from tigar_x.compat import FloatArray
 from tigar_x.output import CSVSeries
 from tigar_x.time_integration import generalized_alpha
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, root_only
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh_gmsh import channel_with_cylinder
@@ -118,6 +119,7 @@ def main(
     until: float = 8.0,
     rho_infinity: float = 0.5,
     out: Path = Path("results/cylinder"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Compute the flow around a cylinder in a channel, with the history of drag and lift.
@@ -131,11 +133,13 @@ def main(
         until: end of the unsteady flow.
         rho_infinity: spectral radius of the time integration at infinite frequency.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, the history and a picture of the wake.
 
     Returns:
         The summary.
     """
+    claim(out, overwrite=overwrite)
     flow = build(reynolds, degree, size, dt=None if steady else dt, rho_infinity=rho_infinity)
     flow.compile()
     measure, watch = Coefficients(flow), script.Stopwatch()
@@ -171,7 +175,7 @@ def main(
         cpu_s=watch.cpu_s,
     )
     field, curl = PlaneField(flow.w), PlaneField(vorticity(flow)())
-    if viz and field.is_here:
+    if viz:
         draw(out / "cylinder.png", field, curl, history, f"Re = {reynolds:g}")
     if MPI.COMM_WORLD.rank == 0:
         print(f"Re = {reynolds:g}, degree {degree}, {flow.unknowns} unknowns, {steps} steps, {watch.cpu_s:.3g} CPU s")
@@ -213,6 +217,7 @@ def follow(
     return np.array(rows), int(counts[0]), int(counts[1])
 
 
+@root_only
 def draw(path: Path, field: PlaneField, curl: PlaneField, history: FloatArray, title: str) -> None:
     """Speed and vorticity in the channel, and the history of drag and lift."""
     import matplotlib

@@ -56,6 +56,7 @@ from tigar_x.ribbon import piercings
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, on_root, root_only
 from varmint.conditions import Resistance, Traction, Velocity
 from varmint.flow import Flow
 from varmint.mesh_aorta import aortic_root
@@ -357,8 +358,7 @@ class History:
     @classmethod
     def read(cls, path: Path, reversal: float) -> "History":
         """Read the file of a finished run (collective)."""
-        here = MPI.COMM_WORLD.rank == 0
-        rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2) if here else None
+        rows = on_root(MPI.COMM_WORLD, lambda: np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2))
         return cls(MPI.COMM_WORLD.bcast(rows), reversal)
 
     def __getitem__(self, name: str) -> FloatArray:
@@ -431,6 +431,7 @@ def main(
     checkpoint_every: int = 500,
     restart: str = "",
     out: Path = Path("results/heart_valve"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Open and close a heart valve of three leaflets.
@@ -451,6 +452,7 @@ def main(
         checkpoint_every: number of steps between checkpoints; 0: none, but where the run is told to end.
         restart: "latest", a step or a file to go on from; empty: begin anew.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files and pictures.
 
     Returns:
@@ -472,6 +474,7 @@ def main(
         "dt": dt,
         "preset": preset,
     }
+    claim(out, overwrite=overwrite, restart=restart)
     valve = build(
         data,
         resolution,
@@ -519,7 +522,7 @@ def main(
     if run.step < steps:
         return {}
     past = History.read(out / "history.csv", data.reversal)
-    if viz and MPI.COMM_WORLD.rank == 0:
+    if viz:
         draw_histories(out / "histories.png", past)
         animate(out)
     domain = valve.flow.mesh.domain
@@ -600,8 +603,7 @@ class Pictures:
         """Write the present state."""
         self._fluid.write(t)
         self._shell.write(t)
-        if MPI.COMM_WORLD.rank == 0:
-            draw_leaflets(self._out / "frames" / f"leaflets_{number:04d}.png", self._leaflets, self._tension, t)
+        draw_leaflets(self._out / "frames" / f"leaflets_{number:04d}.png", self._leaflets, self._tension, t)
 
     def close(self) -> None:
         """Finish the files."""
@@ -609,6 +611,7 @@ class Pictures:
         self._shell.close()
 
 
+@root_only
 def draw_leaflets(path: Path, leaflets: Leaflets, tension: fem.Function, t: float) -> None:
     """The leaflets from the side and from downstream, coloured by their tension."""
     import matplotlib
@@ -639,6 +642,7 @@ def draw_leaflets(path: Path, leaflets: Leaflets, tension: fem.Function, t: floa
     plt.close(figure)
 
 
+@root_only
 def animate(out: Path) -> None:
     """Animation of the pictures of the leaflets, and six of them on one sheet."""
     from PIL import Image
@@ -656,6 +660,7 @@ def animate(out: Path) -> None:
     sheet.save(out / "leaflets.png")
 
 
+@root_only
 def draw_histories(path: Path, past: History) -> None:
     """Flow rate, opening area, pressures, contact and positions over time."""
     import matplotlib

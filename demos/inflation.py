@@ -41,6 +41,7 @@ from tigar_x.output import CSVSeries, VTUSeries
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import LoadStepper
+from tigar_x.writing import claim, root_only
 
 TOY = {"elements": 4, "points": 2, "step": 0.25}
 HALF = 1.0  # half the side of the plate
@@ -223,6 +224,7 @@ def main(
     tolerance: float = 1e-7,
     quarter: bool = False,
     out: Path = Path("results/inflation"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Inflate a clamped plate, and compare its energy with the work of the pressure.
@@ -240,6 +242,7 @@ def main(
         tolerance: of Newton's method, by the norm of the full load.
         quarter: whether to compute a quarter of the plate with conditions of symmetry.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, a history and a picture.
 
     Returns:
@@ -253,6 +256,7 @@ def main(
     if elements % (2 * coarsest):
         raise ValueError(f"elements = {elements}: a multiple of {2 * coarsest} is required for levels = {levels}")
     ramp, step = checks.positive("ramp", ramp), checks.positive("step", step)
+    claim(out, overwrite=overwrite)
 
     runs: list[Inflation] = []
     for n in (elements // coarsest * 2**k for k in range(levels)):
@@ -335,10 +339,10 @@ class Pictures:
         """Finish the files and draw."""
         self._shell.close()
         self._history.close()
-        if MPI.COMM_WORLD.rank == 0:
-            draw(self._out / "inflation.png", runs)
+        draw(self._out / "inflation.png", runs)
 
 
+@root_only
 def draw(path: Path, runs: list[Inflation]) -> None:
     """The inflated plate with its thickness, sections along the path, and pressure against volume."""
     import matplotlib

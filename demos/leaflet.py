@@ -42,6 +42,7 @@ from tigar_x.projection import LumpedProjector
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem
 from tigar_x.time_integration import LoadStepper
+from tigar_x.writing import claim, root_only
 
 TOY = {"degree": 2, "elements": 5, "step": 0.25}
 INDEX = 1  # the leaflet with its middle at the azimuth of 180 degrees
@@ -242,6 +243,7 @@ def main(
     step: float = 0.1,
     tolerance: float = 1e-9,
     out: Path = Path("results/leaflet"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Close a leaflet of a heart valve against two planes, and check the balance of forces.
@@ -257,6 +259,7 @@ def main(
         step: load step, by the whole load.
         tolerance: of Newton's method, by the norm of the full load.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, a history and a picture.
 
     Returns:
@@ -272,6 +275,7 @@ def main(
     p, coarsest = checks.whole("degree", degree, 2), 2 ** (checks.whole("levels", levels, 1) - 1)
     if checks.whole("elements", elements, 2 * coarsest) % coarsest:
         raise ValueError(f"elements = {elements}: a multiple of {coarsest} is required for levels = {levels}")
+    claim(out, overwrite=overwrite)
 
     runs: list[Closure] = []
     for n in (elements // coarsest * 2**k for k in range(levels)):
@@ -359,10 +363,10 @@ class Pictures:
         """Finish the files and draw."""
         self._shell.close()
         self._history.close()
-        if MPI.COMM_WORLD.rank == 0:
-            draw(self._out / "leaflet.png", runs, self.tension())
+        draw(self._out / "leaflet.png", runs, self.tension())
 
 
+@root_only
 def draw(path: Path, runs: list[Closure], tension: FloatArray) -> None:
     """The closed leaflet with its tension and the planes, and how its free edge came there."""
     import matplotlib

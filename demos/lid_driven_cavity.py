@@ -21,6 +21,7 @@ from mpi4py import MPI
 from tigar_x import checks, compat, script
 from tigar_x.refinement import Study, doubled, refine
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, root_only
 from varmint.conditions import WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
@@ -68,7 +69,7 @@ def build(
         mu=nu,
         degree=degree,
         f=lambda x, t: share * force(x, drift, nu),
-        options=FlowOptions(**({"C_I": 6.0 * degree**4} | options)),
+        options=FlowOptions(**({"C_I": 6.0 * degree**4, "pin_at": (0.0, 0.0)} | options)),
     )
 
 
@@ -100,6 +101,7 @@ def main(
     cells: Literal["triangle", "quadrilateral"] = "triangle",
     reynolds: float = 100.0,
     out: Path = Path("results/lid_driven_cavity"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Solve for the steady flow in a regularised cavity on finer and finer meshes, and compare with the exact one.
@@ -111,6 +113,7 @@ def main(
         cells: of the mesh.
         reynolds: Reynolds number.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write a ParaView file and a picture of the finest level.
 
     Returns:
@@ -124,6 +127,7 @@ def main(
         return flow
 
     expected = {"H1_u": float(k), "L2_u": k + 1.0}
+    claim(out, overwrite=overwrite)
     study, flow = refine(solved, errors, doubled(elements, levels), expected, compiled)
     if viz:
         d = flow.mesh.domain.geometry.dim
@@ -131,7 +135,7 @@ def main(
             out / "cavity.vtkhdf", flow.mesh.domain, velocity=(flow.w, (0, 1)), pressure=(flow.w, (d,))
         ) as f:
             f.write(0.0)
-        draw(out / "lid_driven_cavity.png", flow, study)
+        draw(out / "lid_driven_cavity.png", PlaneField(flow.w), study)
 
     inputs = {"degree": k, "elements": elements, "levels": levels, "cells": cells, "reynolds": reynolds}
     divergence = Measured(square=squared_divergence(flow))()["square"] ** 0.5
@@ -150,11 +154,9 @@ def main(
     return summary
 
 
-def draw(path: Path, flow: Flow, study: Study) -> None:
+@root_only
+def draw(path: Path, field: PlaneField, study: Study) -> None:
     """Speed with streamlines, and the errors against run time."""
-    field = PlaneField(flow.w)
-    if not field.is_here:
-        return
     import matplotlib
 
     matplotlib.use("Agg")

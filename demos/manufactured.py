@@ -38,6 +38,7 @@ from tigar_x.solve import FiniteElementSystem
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, root_only
 from varmint.boundary import weak_dirichlet
 from varmint.mesh import named
 from varmint.pictures import PlaneField
@@ -262,6 +263,7 @@ def main(
     dt_factor: float = 1.0,
     initial_velocity: Literal["projected", "interpolated"] | None = None,
     out: Path = Path("results/manufactured"),
+    overwrite: bool = False,
     viz: bool = True,
     checkpoint_every: int = 0,
     restart: str = "",
@@ -276,6 +278,7 @@ def main(
         initial_velocity: membrane velocity at t = 0, projected as in the published code or interpolated;
             default: projected for the reference preset, else interpolated.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files and a picture.
         checkpoint_every: steps between checkpoints; 0: none, but where the run is told to end.
         restart: checkpoint to go on from: "latest", the number of its step, or its file.
@@ -288,6 +291,7 @@ def main(
     start = initial_velocity or ("projected" if reference else "interpolated")
     steps = max(1, round(2 * cells_per_side(level) / factor))
     options = CouplingOptions.reference() if reference else CouplingOptions()
+    claim(out, overwrite=overwrite, restart=restart)
     fsi = build(dim, level, steps, options, projected=start == "projected", data=data)
 
     inputs = {
@@ -397,14 +401,13 @@ class Pictures:
         """Finish the files and draw the final state."""
         for series in (self._fluid, self._shell, self._history):
             series.close()
-        draw(self._out / "manufactured.png", data, fsi)
+        draw(self._out / "manufactured.png", PlaneField(fsi.timeInt_f.x), data, fsi)
 
 
-def draw(path: Path, data: Data, fsi: CouDALFISh) -> None:
+@root_only
+def draw(path: Path, field: PlaneField, data: Data, fsi: CouDALFISh) -> None:
     """Final pressure with streamlines, and the membrane's displacement against the exact one."""
-    field, d = PlaneField(fsi.timeInt_f.x), fsi.mesh_f.geometry.dim
-    if not field.is_here:
-        return
+    d = fsi.mesh_f.geometry.dim
     import matplotlib
 
     matplotlib.use("Agg")

@@ -23,12 +23,14 @@ from dolfinx import fem
 
 from tigar_x import checks, compat, script, shapes, surfaces
 from tigar_x.bspline import TensorBasis
+from tigar_x.compat import FloatArray
 from tigar_x.functions import Cells
 from tigar_x.output import VTUSeries
 from tigar_x.patch import Patch
 from tigar_x.refinement import Study, doubled, refine
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.writing import claim, root_only
 
 TOY = {"degree": 2, "elements": 2, "levels": 3}
 WAVE = (3.0, 2.0, 1.0)
@@ -109,6 +111,7 @@ def main(
     elements: int = 4,
     levels: int = 4,
     out: Path = Path("results/poisson"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Solve Poisson's problem on finer and finer splines and compare the rates with theory.
@@ -122,6 +125,7 @@ def main(
         elements: per direction on the coarsest level; doubled from level to level.
         levels: number of levels, 2 or more.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write a ParaView file and a picture of the finest level.
 
     Returns:
@@ -130,6 +134,7 @@ def main(
     coarse = coarse_patch(dim, geometry)
     patch = coarse.with_degree(checks.whole("degree", degree, max(coarse.functions.degrees)))
     expected = {"L2_u": degree + 1, "H1_u": degree}
+    claim(out, overwrite=overwrite)
     study, solution = refine(lambda n: solve(patch.refined(n), cells), errors, doubled(elements, levels), expected)
     if viz:
         with VTUSeries(out / "poisson", solution.spline, u=solution.u) as series:
@@ -158,8 +163,12 @@ def draw(path: Path, solution: Solution, study: Study) -> None:
     axes = np.meshgrid(*[np.linspace(0.0, 1.0, samples)] * min(dim, 2), *[0.5] * (dim - 2), indexing="ij")
     xi = np.column_stack([axis.ravel() for axis in axes])
     values = spline.evaluate(solution.u, xi).reshape(axes[0].shape)
-    if MPI.COMM_WORLD.rank:
-        return
+    picture(path, dim, values, spline.geometry.evaluate(xi), xi[:, 0], study)
+
+
+@root_only
+def picture(path: Path, dim: int, values: FloatArray, points: FloatArray, xi: FloatArray, study: Study) -> None:
+    """What :func:`draw` shows, from values at points with first parameters xi."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -167,11 +176,11 @@ def draw(path: Path, solution: Solution, study: Study) -> None:
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
     if dim == 1:
-        left.plot(xi[:, 0], values, "C0-")
+        left.plot(xi, values, "C0-")
         left.set(xlabel="parameter", ylabel="$u$")
     else:
-        x, y = (spline.geometry.evaluate(xi)[:, i].reshape(samples, samples) for i in (0, 1))
-        values = values.reshape(samples, samples)
+        x, y = (points[:, i].reshape(values.shape[:2]) for i in (0, 1))
+        values = values.reshape(x.shape)
         shade = left.pcolormesh(x, y, values, shading="gouraud", cmap="viridis")
         figure.colorbar(shade, ax=left, label="$u$")
         left.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$")

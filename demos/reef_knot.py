@@ -44,6 +44,7 @@ from tigar_x.ribbon import CentreLine, Crossings, piercings, ribbon
 from tigar_x.solve import newton
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, backward_euler
+from tigar_x.writing import claim, root_only
 
 log = logging.getLogger(__name__)
 
@@ -354,6 +355,7 @@ def main(
     resolution: int = 3,
     pictures: int = 150,
     out: Path = Path("results/reef_knot"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Tie a reef knot and pull it tight.
@@ -364,6 +366,7 @@ def main(
         resolution: elements across a ribbon; those along it are 1.2 times as long in the knot.
         pictures: number of states written as ParaView files, at most one a step; as often the knot is checked.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, a history and a picture.
 
     Returns:
@@ -373,29 +376,27 @@ def main(
     dt = checks.positive("dt_factor", dt_factor) * data.time_step
     steps = max(1, round(data.steps / dt_factor)) if steps is None else checks.whole("steps", steps, 1)
     every = max(1, steps // checks.whole("pictures", pictures, 1))
+    claim(out, overwrite=overwrite)
     scene = Scene(data, checks.whole("resolution", resolution, 1), dt)
     run, watch, progress = Run(scene), script.Stopwatch(), script.Progress(steps)
 
     memory, states, knots, pierced = [], [(0.0, scene.positions)], [scene.crossings()], [scene.piercings()]
     files = Files(out, scene) if viz else None
-    try:
-        for n in progress:
-            before = run.ledger.newton_iterations
-            with watch:
-                run.advance(dt)
-            memory.append(script.rss_mib())
-            if n % every == 0 or n == steps:
-                states.append((scene.time.time, scene.positions))
-                knots.append(scene.crossings())
-                pierced.append(scene.piercings())
-            if files:
-                files.write(scene.time.time, run.row, picture=n % every == 0)
-            passes, residuals = run.ledger.newton_iterations - before, [(run.row["force_imbalance"],)]
-            progress.show(SimpleNamespace(t=scene.time.time, passes=passes, residuals=residuals))
-    finally:
+    for n in progress:
+        before = run.ledger.newton_iterations
+        with watch:
+            run.advance(dt)
+        memory.append(script.rss_mib())
+        if n % every == 0 or n == steps:
+            states.append((scene.time.time, scene.positions))
+            knots.append(scene.crossings())
+            pierced.append(scene.piercings())
         if files:
-            files.close()
-    if viz:
+            files.write(scene.time.time, run.row, picture=n % every == 0)
+        passes, residuals = run.ledger.newton_iterations - before, [(run.row["force_imbalance"],)]
+        progress.show(SimpleNamespace(t=scene.time.time, passes=passes, residuals=residuals))
+    if files:
+        files.close()
         draw(out / "reef_knot.png", scene, states, files.rows)
 
     ledger, first, second = run.ledger, *scene.centre_lines()
@@ -457,10 +458,9 @@ class Files:
         self._history.close()
 
 
+@root_only
 def draw(path: Path, scene: Scene, states: list[tuple[float, FloatArray]], rows: list[tuple[float, ...]]) -> None:
     """The knot from above and from the side at the start, at the largest pull and at the end, and histories."""
-    if MPI.COMM_WORLD.rank:
-        return
     import matplotlib
 
     matplotlib.use("Agg")

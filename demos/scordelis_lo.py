@@ -33,6 +33,7 @@ from tigar_x.functions import Cells
 from tigar_x.output import VTUSeries
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem
+from tigar_x.writing import claim, root_only
 
 PUBLISHED = 0.3006
 TOY = {"degree": 3, "elements": 4}
@@ -133,6 +134,7 @@ def main(
     cells: Literal["quad", "tri"] = "quad",
     quadrature: int | None = None,
     out: Path = Path("results/scordelis_lo"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Load the Scordelis-Lo roof and compare its deflection with the published one.
@@ -143,11 +145,13 @@ def main(
         cells: quadrilaterals, or triangles (of twice the degree) as finite elements under the splines.
         quadrature: degree of all integrals; default: twice that of the splines.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write a ParaView file with forces and moments and a picture.
 
     Returns:
         The summary.
     """
+    claim(out, overwrite=overwrite)
     roof = Roof(Data(), degree, elements, cells, quadrature)
     roof.solve()
     memory, w = script.peak_rss_mib(), roof.sinking()
@@ -192,13 +196,17 @@ def write_resultants(path: Path, roof: Roof) -> None:
 
 def draw(path: Path, roof: Roof, scale: float = 10.0) -> None:
     """The deformed roof in space with its vertical displacement, and the latter across the middle and along an edge."""
-    spline, data, samples = roof.spline, roof.data, 81
+    spline, samples = roof.spline, 81
     s = np.linspace(0.0, 1.0, samples)
     xi = np.stack(np.meshgrid(s, s, indexing="ij"), axis=-1)
     middles = (xi[1:, 1:] + xi[:-1, :-1]) / 2
     y, faces = (spline.evaluate(roof.y, points.reshape(-1, 2)) for points in (xi, middles))
-    if MPI.COMM_WORLD.rank:
-        return
+    picture(path, roof, spline.geometry.evaluate(xi.reshape(-1, 2)).reshape((*xi.shape[:2], 3)), y, faces, scale)
+
+
+@root_only
+def picture(path: Path, roof: Roof, X: FloatArray, y: FloatArray, faces: FloatArray, scale: float) -> None:
+    """What :func:`draw` shows, from displacements on a grid of points X and in the middle of its faces."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -206,8 +214,7 @@ def draw(path: Path, roof: Roof, scale: float = 10.0) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LightSource, Normalize
 
-    X = spline.geometry.evaluate(xi.reshape(-1, 2)).reshape(samples, samples, 3)
-    y = y.reshape(X.shape)
+    samples, y = len(X), y.reshape(X.shape)
     x = X + scale * y
     colours = ScalarMappable(Normalize(y[..., 2].min(), y[..., 2].max()), "viridis")
     light = LightSource(azdeg=180.0, altdeg=35.0).shade_normals(normals(x))[..., None]
@@ -226,7 +233,7 @@ def draw(path: Path, roof: Roof, scale: float = 10.0) -> None:
     space.set_title(f"deformed roof, displacements x {scale:g}", y=0.94)
     figure.colorbar(colours, cax=bar, label="vertical displacement")
 
-    angle = np.degrees(data.half_angle)
+    angle = np.degrees(roof.data.half_angle)
     plane.plot(np.linspace(-angle, angle, samples), y[samples // 2, :, 2], "C0-", label="computed")
     plane.plot((-angle, angle), (-PUBLISHED, -PUBLISHED), "ko", label=f"published: {-PUBLISHED}")
     plane.set(xlabel="angle from the crown [degrees]", ylabel="vertical displacement", title="middle section")

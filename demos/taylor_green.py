@@ -26,6 +26,7 @@ from tigar_x.output import CSVSeries
 from tigar_x.refinement import Study, doubled, refine
 from tigar_x.time_integration import generalized_alpha
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, root_only
 from varmint import ale
 from varmint.conditions import Slip
 from varmint.flow import Flow, FlowOptions
@@ -90,7 +91,7 @@ def build(
         dt=dt,
         scheme=scheme,
         moving=moving,
-        options=FlowOptions(**({"C_I": 6.0 * degree**4} | options)),
+        options=FlowOptions(**({"C_I": 6.0 * degree**4, "pin_at": low} | options)),
     )
     flow.start(velocity, projected=True)
     return flow
@@ -127,6 +128,7 @@ def main(
     cells: Literal["triangle", "quadrilateral", "tetrahedron", "hexahedron"] | None = None,
     rho_infinity: float = 1.0,
     out: Path = Path("results/taylor_green"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Follow the decaying vortex on finer and finer meshes with as many time steps, and compare with the exact one.
@@ -140,6 +142,7 @@ def main(
         cells: of the mesh; default: triangles or tetrahedra.
         rho_infinity: spectral radius of the time integration at infinite frequency; 1 is the implicit midpoint rule.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, the history of the energy and a picture of the finest level.
 
     Returns:
@@ -153,11 +156,13 @@ def main(
         return flow
 
     expected = {"H1_u": float(min(k, 2))}
+    claim(out, overwrite=overwrite)
     study, flow = refine(run, errors, doubled(elements, levels), expected, compiled)
     balance = Measured(kinetic_energy=kinetic_energy(flow), volume=volume(flow))()
     if viz:
         rerun(out, build(elements, k, dim=dim, moving_mesh=moving_mesh, rho_infinity=rho_infinity, cells=cells))
-        draw(out / "taylor_green.png", flow, study)
+        field = PlaneField(flow.w, None if flow.moving is None else flow.moving.time.x)
+        draw(out / "taylor_green.png", field, flow.time.time, study)
 
     inputs = {
         "dim": dim,
@@ -201,11 +206,9 @@ def rerun(out: Path, flow: Flow) -> None:
             history.write(report.t, *measured().values(), report.iterations)
 
 
-def draw(path: Path, flow: Flow, study: Study) -> None:
+@root_only
+def draw(path: Path, field: PlaneField, t: float, study: Study) -> None:
     """Pressure with streamlines at the end, and the errors against run time."""
-    field = PlaneField(flow.w, None if flow.moving is None else flow.moving.time.x)
-    if not field.is_here:
-        return
     import matplotlib
 
     matplotlib.use("Agg")
@@ -214,7 +217,7 @@ def draw(path: Path, flow: Flow, study: Study) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
     field.shade(left, field.values[:, -1], "pressure", cmap="RdBu_r")
     field.streamlines(left, density=1.2)
-    left.set_title(f"t = {flow.time.time:.3g}")
+    left.set_title(f"t = {t:.3g}")
     study.draw(right)
     figure.savefig(path, dpi=130)
     plt.close(figure)

@@ -24,6 +24,7 @@ from tigar_x.linear import direct
 from tigar_x.output import CSVSeries
 from tigar_x.time_integration import backward_euler, generalized_alpha
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, root_only
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh_gmsh import channel_with_cylinder
@@ -127,6 +128,7 @@ def main(
     until: float = 7.0,
     scheme: Literal["backward euler", "generalized alpha"] = "generalized alpha",
     out: Path = Path("results/turek_hron_fsi3"),
+    overwrite: bool = False,
     viz: bool = True,
 ) -> dict[str, Any]:
     """Follow the beam from rest until it flaps, and compare its oscillations with the published ones.
@@ -139,12 +141,14 @@ def main(
         until: end; the beam flaps regularly from about t = 5 on.
         scheme: of time integration; generalized alpha has rho_infinity = 1/2, backward Euler damps the beam.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, the history and a picture.
 
     Returns:
         The summary.
     """
     steps = max(1, round(checks.positive("until", until) / checks.positive("dt", dt)))
+    claim(out, overwrite=overwrite)
     flow = build(size, beam_size, degree, dt, scheme)
     flow.compile()
     force, tip = BoundaryForce(flow, "cylinder", "interface"), Tip(flow)
@@ -217,10 +221,10 @@ class Pictures:
         self._history.close()
         displacement = flow.moving.time.x
         fields = PlaneField(flow.w, displacement), PlaneField(self._vorticity(), displacement)
-        if fields[0].is_here:
-            draw(self._out / "turek_hron_fsi3.png", *fields, history)
+        draw(self._out / "turek_hron_fsi3.png", *fields, history)
 
 
+@root_only
 def draw(path: Path, flow: PlaneField, curl: PlaneField, history: FloatArray) -> None:
     """Speed and vorticity on the moved mesh, and the histories of the last second."""
     import matplotlib

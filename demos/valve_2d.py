@@ -40,6 +40,7 @@ from tigar_x.restart import Restart
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, generalized_alpha
 from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x.writing import claim, root_only
 from varmint.conditions import Condition, Slip, Traction, WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import NamedMesh, box
@@ -302,6 +303,7 @@ def main(
     mirrored: bool | None = None,
     invariant_metric: bool = False,
     out: Path = Path("results/valve_2d"),
+    overwrite: bool = False,
     viz: bool = True,
     checkpoint_every: int = 0,
     restart: str = "",
@@ -322,6 +324,7 @@ def main(
             default: with the default preset, where the number is even; the published mesh is not mirrored.
         invariant_metric: whether the stabilisation's element metric does not depend on the numbering of vertices.
         out: folder of the results.
+        overwrite: whether to delete the results of an earlier run in this folder.
         viz: whether to write ParaView files, the history and a picture.
         checkpoint_every: steps between checkpoints; 0: none, but where the run is told to end.
         restart: checkpoint to go on from: "latest", the number of its step, or its file.
@@ -342,6 +345,7 @@ def main(
     options = options_of(preset)
     if checks.not_negative("smoothing", smoothing):
         options = replace(options, relaxation=smoothing, relaxation_mode="smoothed")
+    claim(out, overwrite=overwrite, restart=restart)
     valve = build(dim, elements, dt, options, data=data, **discretisation)
     fsi = valve.fsi
     inputs = {"dim": dim, "elements": elements, **discretisation, "preset": preset, "options": options}
@@ -458,10 +462,10 @@ class Pictures:
         for series in (self._fluid, self._shell, self._history):
             series.close()
         fields = PlaneField(self._valve.flow.w), PlaneField(self._vorticity())
-        if fields[0].is_here:
-            draw(self._out / "valve_2d.png", self._valve, *fields, columns)
+        draw(self._out / "valve_2d.png", self._valve, *fields, columns)
 
 
+@root_only
 def draw(path: Path, valve: Valve, flow: PlaneField, curl: PlaneField, columns: dict[str, FloatArray]) -> None:
     """Speed, vorticity and leaflets, and the histories of both tips with the published peaks and troughs."""
     import matplotlib

@@ -13,7 +13,7 @@ import numpy as np
 import ufl
 
 from shnapr.kinematics import Midsurface, dual_frame, layer_metric
-from tigar_x import checks
+from tigar_x import checks, compat
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,8 @@ class Hyperelastic:
         E, excess = strain, _excess(strain)
         # not (C_33 - 1)/2, which loses small strains in the rounding of 1
         normal = -excess / (2 * (1 + excess))
-        return self.psi(ufl.as_matrix([[E[0, 0], E[0, 1], 0], [E[1, 0], E[1, 1], 0], [0, 0, normal]]))
+        full = ufl.as_matrix([[E[0, 0], E[0, 1], 0], [E[1, 0], E[1, 1], 0], [0, 0, normal]])
+        return compat.ask("psi", self.psi, full)
 
 
 def _excess(strain: Any) -> Any:

@@ -104,6 +104,16 @@ def test_arrays_that_are_none_are_named(value):
         checks.array("X", value, (None,))
 
 
+def test_labels():
+    assert checks.label("field", 'a & "b"', without="/:") == 'a & "b"'
+    assert checks.label("field", "\N{GREEK SMALL LETTER OMEGA}_0.1") == "\N{GREEK SMALL LETTER OMEGA}_0.1"
+    for value in ("", " ", "..", "a\tb", "a\nb", "\udc80"):
+        with pytest.raises(ValueError, match=r"^field = .*: printable characters are required$"):
+            checks.label("field", value)
+    with pytest.raises(ValueError, match=r"^field = 'a/b': printable characters other than / : are required$"):
+        checks.label("field", "a/b", without="/:")
+
+
 def test_choices():
     assert checks.choice("end", 1, (0, 1)) == 1
     assert checks.choice("rule", "lumped", ("lumped", "consistent")) == "lumped"

@@ -41,7 +41,7 @@ def test_demo_at_toy_size(name, tmp_path):
 def test_every_option_is_on_the_command_line_and_no_other(name):
     script = ROOT / "demos" / f"{name}.py"
     shown = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True, check=True).stdout
-    assert all(option in shown for option in ("--out", "--viz", "--no-viz"))
+    assert all(option in shown for option in ("--out", "--viz", "--no-viz", "--overwrite"))
     wrong = subprocess.run([sys.executable, script, "--no-such-option", "1"], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert "--no-such-option" in wrong.stderr
@@ -67,6 +67,17 @@ def test_no_viz_writes_numbers_alone(name, tmp_path):
     demo = load_demo(name)
     demo.main(**demo.TOY, out=tmp_path, viz=False)
     assert {path.name for path in tmp_path.iterdir()} in ({"summary.json"}, {"summary.json", "history.csv"})
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_the_results_of_an_earlier_run_are_not_overwritten(name, tmp_path):
+    (tmp_path / "history.csv").write_text("t,hours of work\n")
+    demo = load_demo(name)
+    with pytest.raises(
+        FileExistsError, match=r"has the results of an earlier run \(history.csv\): another folder, or ov"
+    ):
+        demo.main(**demo.TOY, out=tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["t,hours of work\n"]
 
 
 @pytest.mark.parametrize(

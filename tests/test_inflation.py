@@ -118,7 +118,7 @@ def test_steps_grow_and_end_at_the_limit_load():
 @pytest.mark.slow
 def test_the_published_plate(tmp_path):
     """16 x 16 elements, four points, 100 equal steps; the state does not depend on the steps that led there."""
-    data = dict(elements=16, degree=2, points=4, out=tmp_path, viz=False)
+    data = dict(elements=16, degree=2, points=4, out=tmp_path, overwrite=True, viz=False)
     steps = DEMO.main(**data, ramp=1.0, step=0.01, growth=1.0)
     assert steps["steps"] == 100
     grown = DEMO.main(**data)

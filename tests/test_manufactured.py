@@ -86,7 +86,7 @@ def test_a_relaxed_multiplier_leaks_but_keeps_the_orders_of_the_flow(dim):
 
 def test_default_preset_converges(tmp_path):
     """With dt proportional to h over levels 2 to 5, and below the published code's errors at level 4 in every norm."""
-    summaries = [DEMO.main(level=level, out=tmp_path, viz=False) for level in (2, 3, 4, 5)]
+    summaries = [DEMO.main(level=level, out=tmp_path / str(level), viz=False) for level in (2, 3, 4, 5)]
     orders = fitted_orders(summaries)
     assert orders["H1_u"] >= 0.5
     assert orders["L2_u"] >= 1.0
@@ -100,7 +100,9 @@ def test_default_preset_converges(tmp_path):
 
 @pytest.mark.slow
 def test_reference_preset_converges(tmp_path):
-    summaries = [DEMO.main(level=level, preset="reference", out=tmp_path, viz=False) for level in (2, 3, 4, 5)]
+    summaries = [
+        DEMO.main(level=level, preset="reference", out=tmp_path / str(level), viz=False) for level in (2, 3, 4, 5)
+    ]
     orders = fitted_orders(summaries)
     assert orders["H1_u"] >= 0.5
     assert orders["L2_u"] >= 1.4
@@ -117,7 +119,7 @@ def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
         return exact
 
     monkeypatch.setattr(DEMO, "exact_flow", wrong)
-    summaries = [DEMO.main(level=level, out=tmp_path, viz=False) for level in (2, 3, 4)]
+    summaries = [DEMO.main(level=level, out=tmp_path / str(level), viz=False) for level in (2, 3, 4)]
     orders = fitted_orders(summaries)
     assert orders["L2_u"] < 0.5
     assert orders["L2_y"] < 0.5
@@ -131,7 +133,7 @@ def test_every_number_of_ranks_gives_the_same_errors(dim, tmp_path, monkeypatch)
     monkeypatch.setattr(DEMO, "CouplingOptions", lambda: CouplingOptions(block_rtol=1e-11, block_atol=1e-14))
     parallel = DEMO.main(dim=dim, level=1, out=tmp_path, viz=False)["errors"]
     monkeypatch.setattr(DEMO, "MPI", SelfOnly)
-    alone = DEMO.main(dim=dim, level=1, out=tmp_path, viz=False)["errors"]
+    alone = DEMO.main(dim=dim, level=1, out=tmp_path / "alone", viz=False)["errors"]
     for norm in NORMS:
         assert parallel[norm] == pytest.approx(alone[norm], rel=1e-8), norm
 

@@ -15,6 +15,9 @@ from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
 from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
 
+MARKS = ("a & b", "a < b", "b > a", 'say "x"', "\N{GREEK SMALL LETTER OMEGA}")
+"""Names that need care in XML or beyond ASCII."""
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -88,6 +91,28 @@ def test_xdmf_refuses_a_component_that_does_not_exist(folder):
     w = fem.Function(compat.lagrange_space(domain, 1, 2))
     with pytest.raises(IndexError, match="component = 2"):
         XDMFSeries(folder / "flow.xdmf", domain, velocity=(w, (0, 2)))
+
+
+@pytest.mark.mpi
+def test_xdmf_keeps_names_or_refuses_them(folder):
+    """Marks of XML are kept; what separates or quotes in XDMF and HDF5 is refused before anything is written."""
+    domain = mesh.create_unit_square(WORLD, 2, 2)
+    w = fem.Function(compat.lagrange_space(domain, 1, 1))
+    w.x.array[:] = 1.5
+    fields = dict.fromkeys(MARKS, (w, (0,)))
+    with XDMFSeries(folder / 'a & "b" <c>.xdmf', domain, **fields) as series:
+        series.write(0.25)
+    _, values = read_xdmf(folder / 'a & "b" <c>.xdmf')
+    assert set(values) == {(name, 0.25) for name in MARKS}
+    assert all(np.allclose(found[:, 0], 1.5, rtol=0, atol=1e-14) for found in values.values())
+    kept = sorted(folder.iterdir())
+    for name in ("a/b", "a:b", "it's", ".", "..", "", "two\nlines", "\x07"):
+        with pytest.raises(ValueError, match=r"field = .*: printable characters other than / : ' are required"):
+            XDMFSeries(folder / "flow.xdmf", domain, **{name: (w, (0,))})
+    for name, reason in (("a:b.xdmf", "other than :"), ("flow", "ends in .xdmf"), ("flow.h5", "ends in .xdmf")):
+        with pytest.raises(ValueError, match=f"path = .*{reason}"):
+            XDMFSeries(folder / name, domain, w=(w, (0,)))
+    assert sorted(folder.iterdir()) == kept
 
 
 # -- VTU --------------------------------------------------------------------------------------------------------------
@@ -222,6 +247,39 @@ def test_a_vtu_series_goes_on(folder):
         VTUSeries(folder / "shell", s, after=0.2)
 
 
+@pytest.mark.mpi
+def test_vtu_keeps_the_names_of_fields_and_files(folder):
+    """Read by an XML parser, which meshio's writer of XML does not ask for."""
+    meshio = pytest.importorskip("meshio")
+    s = spline("line", alone=True)
+    name = 'a & "b" <c>'
+    for times, after in (((0.0, 0.5), None), ((0.75,), 0.6)):
+        with VTUSeries(folder / name, s, after=after, **dict.fromkeys(MARKS, lambda: s.node_positions[:, 0])) as movie:
+            for t in times:
+                movie.write(t)
+        WORLD.barrier()
+    index = read_index(folder / f"{name}.pvd")
+    assert index == [(t, folder / f"{name}_{n:06d}.vtu") for n, t in enumerate((0.0, 0.5, 0.75))]
+    for _, file in index:
+        read = meshio.read(file)
+        assert set(read.point_data) == set(MARKS)
+        assert all((values == s.node_positions[:, 0]).all() for values in read.point_data.values())
+
+
+def test_vtu_refuses_names_that_hide_or_cannot_be_read(folder):
+    s = spline("line", alone=True)
+    values = lambda: s.node_positions[:, 0]  # noqa: E731
+    with pytest.raises(ValueError, match="field = 'displacement': another name is required"):
+        VTUSeries(folder / "shell", s, y=s.function(), displacement=values)
+    for name in ("", "two\nlines", "\x07"):
+        with pytest.raises(ValueError, match=r"field = .*: printable characters are required"):
+            VTUSeries(folder / "shell", s, **{name: values})
+    with pytest.raises(ValueError, match=r"path = .*: printable characters are required"):
+        VTUSeries(folder / "two\nlines", s)
+    assert not folder.exists()
+    VTUSeries(folder / "shell", s, displacement=values).close()  # there is no other one
+
+
 # -- CSV and text -----------------------------------------------------------------------------------------------------
 
 
@@ -242,6 +300,21 @@ def test_csv_history(folder):
             with pytest.raises(ValueError, match=rf"values has {len(values)} entries: 2 are required \('u x', 'F'\)"):
                 history.write(0.3, *values)
     assert len(path.read_text().splitlines()) == 3
+
+
+@pytest.mark.mpi
+def test_csv_keeps_the_names_of_its_columns_or_refuses_them(folder):
+    columns = [*MARKS, "a, b", "it's"]
+    for after in (None, 0.0):
+        with CSVSeries(folder / 'a & "b".csv', columns, after=after) as history:
+            history.write(0.5, *range(len(columns)))
+    WORLD.barrier()
+    with open(folder / 'a & "b".csv', newline="") as file:
+        assert list(csv.reader(file)) == [["t", *columns], ["0.5", *map(str, range(len(columns)))]]
+    for bad, reason in ((["F", "F"], "'F' is there twice"), (["t"], "'t' is there twice"), (["a\nb"], "printable")):
+        with pytest.raises(ValueError, match=f"column.* = .*{reason}"):
+            CSVSeries(folder / "tip.csv", bad)
+    assert not (folder / "tip.csv").exists()
 
 
 @pytest.mark.mpi

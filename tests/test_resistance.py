@@ -14,7 +14,7 @@ from tigar_x.time_integration import backward_euler, generalized_alpha
 from varmint.conditions import Resistance, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
-from varmint.quantities import Measured, flow_rate
+from varmint.quantities import Measured, flow_rate, outlet
 
 COMM = MPI.COMM_WORLD
 SOLVERS = pytest.mark.parametrize("solver", [direct(), gmres_ilu(1, rtol=1e-3)], ids=["direct", "gmres"])
@@ -99,8 +99,16 @@ def test_several_outlets_share_the_flow_in_the_inverse_ratio_of_their_resistance
     flow = duct(2, Resistance("right", R), Resistance("top", R / 3, 7.0), solver=solver)
     rates = Measured(**{name: flow_rate(flow, name) for name in ("left", "right", "top")})
     for _ in range(3):
+        before = rates()
         flow.take_step()
-    found = rates()
+        pressures = {name: float(outlet(flow, name).pressure.value) for name in ("right", "top")}
+    found, level = rates(), flow.time.x_factor
+    for name, resistance, behind in (("right", R, 0.0), ("top", R / 3, 7.0)):
+        in_equations = level * found[name] + (1 - level) * before[name]
+        assert pressures[name] == pytest.approx(behind + resistance * in_equations, rel=1e-9)
+        assert outlet(flow, name).flow_rate() == pytest.approx(found[name], rel=1e-12)  # the clock has moved
+    with pytest.raises(ValueError, match=r"^name = 'left': one of 'right', 'top' is required"):
+        outlet(flow, "left")
     assert found["right"] + found["top"] == pytest.approx(-found["left"], rel=1e-6)
     assert found["right"] == pytest.approx(-0.25 * found["left"], rel=100 / R + 1e-6)
 

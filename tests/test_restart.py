@@ -199,17 +199,19 @@ def test_settings_that_differ_are_named(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_a_new_run_says_that_it_replaces_another(tmp_path, caplog):
+def test_a_new_run_does_not_replace_the_checkpoints_of_another(tmp_path):
     fsi = restarted.scene().fsi
-    run = restart_of(tmp_path, fsi, every=1)
-    go(run, fsi.takeStep, 2)
-    with caplog.at_level(logging.WARNING):
-        assert list(restart_of(tmp_path, fsi).steps([])) == []
-    assert f"{tmp_path} has checkpoints up to step 2, which this run replaces" in caplog.text
-    caplog.clear()
-    run.read()
-    assert list(run.steps([])) == []
-    assert not caplog.records
+    run = restart_of(tmp_path, fsi, every=2)
+    go(run, fsi.takeStep, 3)
+    kept = sorted(tmp_path.iterdir())
+    other = restart_of(tmp_path, fsi)
+    for use in (lambda: list(other.steps([1])), other.write):
+        with pytest.raises(FileExistsError, match=f"{tmp_path} has checkpoints of an earlier run, up to step 2: go on"):
+            use()
+    assert sorted(tmp_path.iterdir()) == kept
+    assert list(run.steps([])) == []  # they are its own
+    other.read()
+    assert list(other.steps([])) == []
 
 
 @pytest.mark.mpi

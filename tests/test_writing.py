@@ -12,7 +12,7 @@ from splines import WORLD, spline
 
 from tigar_x import files, saved, script, shapes
 from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
-from tigar_x.writing import on_root, replace_text, root_only, together
+from tigar_x.writing import claim, on_root, replace_text, root_only, together
 
 
 @pytest.fixture
@@ -205,3 +205,40 @@ def test_text_is_replaced_as_a_whole(tmp_path, monkeypatch):
     replace_text(path, "new\n")
     assert path.read_text() == "new\n"
     assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
+
+
+# -- folders of earlier runs ------------------------------------------------------------------------------------------
+
+EARLIER = ("summary.json", "history.csv", "sheet.pvd", "sheet_000001.vtu", "flow.xdmf", "flow.h5", "flow.vtkhdf")
+DEEPER = ("checkpoints/checkpoint_00000007.npz", "frames/leaflets_0001.png", "flow.steps/000000.h5")
+
+
+def earlier_run(folder, *names):
+    """Files with their names in them."""
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(name)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", EARLIER + DEEPER)
+def test_a_folder_with_results_is_refused_and_stays(name, folder):
+    on_root(WORLD, lambda: earlier_run(folder, name))
+    with pytest.raises(FileExistsError, match=rf"out = {folder} has the results of an earlier run \({name}\)") as error:
+        claim(folder)
+    assert ("--restart latest" in str(error.value)) == name.endswith(".npz")
+    claim(folder, restart="latest")
+    assert WORLD.bcast((folder / name).read_text()) == name
+
+
+@pytest.mark.mpi
+def test_a_run_may_overwrite_another_and_nothing_else(folder):
+    others = ("notes.txt", "valve.msh", "checkpoints/notes.txt", "older/summary.json", "parameters.json")
+    claim(folder / "new")  # there is none yet
+    on_root(WORLD, lambda: earlier_run(folder, *EARLIER, *DEEPER, *others))
+    with pytest.raises(ValueError, match="restart = 'latest' goes on with what overwrite = True deletes"):
+        claim(folder, overwrite=True, restart="latest")
+    claim(folder, overwrite=True)
+    claim(folder)
+    left = WORLD.bcast(sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()))
+    assert left == sorted(others)

@@ -11,12 +11,13 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TextIO
+from xml.sax.saxutils import escape
 
 import numpy as np
 from mpi4py import MPI
 from dolfinx import fem, io, mesh
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.vertex_values import Components, VertexValues
 from tigar_x.writing import all_come, on_root, replace_text, together
@@ -77,11 +78,17 @@ class XDMFSeries(Series):
         fields: for every name a function and the components to write, such as ``velocity=(w, (0, 1))``.
 
     Raises:
+        ValueError: the file or a field has a name that readers of XDMF or HDF5 would take apart.
         OSError: on all ranks: the files cannot be made.
     """
 
     def __init__(self, path: Path | str, domain: mesh.Mesh, **fields: Components) -> None:
         target = Path(path)
+        if target.suffix != ".xdmf":
+            raise ValueError(f"path = {str(path)!r}: a name that ends in .xdmf is required")
+        checks.label("path", target.name, without=":")
+        for name in fields:
+            checks.label("field", name, without="/:'")
         on_root(domain.comm, lambda: _check_writable(target, target.with_suffix(".h5")))
         self._values = VertexValues(domain, fields)
         self._comm = domain.comm.Dup()
@@ -103,6 +110,11 @@ class XDMFSeries(Series):
             self._file.close()
 
 
+def _in_xml(text: str) -> str:
+    """A text as it stands in an attribute, in any encoding; meshio writes names of fields as they are."""
+    return escape(text, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace").decode()
+
+
 class VTUSeries(Series):
     """A deformed spline in physical space: numbered VTU files and one PVD index that ParaView opens.
 
@@ -116,9 +128,11 @@ class VTUSeries(Series):
         after: time from which a run goes on: files of an earlier series are kept up to then, and those that are later
             are deleted; None: a new series.
         fields: point data by name: a homogeneous isoparametric function of any number of components, or a callable
-            that returns physical values at this rank's nodes, shape (nodes,) or (nodes, components).
+            that returns physical values at this rank's nodes, shape (nodes,) or (nodes, components). With ``y`` there
+            is a field ``displacement`` already.
 
     Raises:
+        ValueError: the file or a field has a name that cannot be printed, or ``displacement`` is given twice.
         ValueError: the index of the earlier series cannot be read.
         OSError: on all ranks, also by :meth:`write`: a file cannot be written.
     """
@@ -136,7 +150,10 @@ class VTUSeries(Series):
         self._spline = spline
         self._comm = spline.mesh.comm
         self._y = y
-        self._fields = fields
+        self._fields = {checks.label("field", name): field for name, field in fields.items()}
+        checks.label("path", self._path.name)
+        if y is not None and "displacement" in fields:
+            raise ValueError("field = 'displacement': another name is required, this is that of y")
         self._kind, cells = compat.subcells(spline.V)
         counts = self._comm.allgather(len(spline.node_positions))
         self._cells = self._gather(cells + sum(counts[: self._comm.rank]))
@@ -187,14 +204,17 @@ class VTUSeries(Series):
         import meshio
 
         file = self._path.with_name(f"{self._path.name}_{len(self._entries):06d}.vtu")
-        cells, fields = [(self._kind, self._cells)], {name: self._padded(values) for name, values in data.items()}
+        cells, fields = [(self._kind, self._cells)], {_in_xml(name): self._padded(v) for name, v in data.items()}
         in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
         meshio.Mesh(in_space, cells, point_data=fields).write(file)
         self._entries.append((t, file.name))
         self._write_index()
 
     def _write_index(self) -> None:
-        entries = (f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{name}"/>\n' for t, name in self._entries)
+        entries = (
+            f'    <DataSet timestep="{t:.17g}" group="" part="0" file="{_in_xml(name)}"/>\n'
+            for t, name in self._entries
+        )
         head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
         replace_text(self._index, head + "".join(entries) + "  </Collection>\n</VTKFile>\n")
 
@@ -204,16 +224,18 @@ class CSVSeries(Series):
 
     Args:
         path: file name; its folder is made.
-        columns: names of the columns after ``t``.
+        columns: names of the columns after ``t``, all different.
         after: time from which a run goes on: rows of an earlier history are kept up to then; None: a new history.
 
     Raises:
-        ValueError: the earlier history has other columns.
+        ValueError: the earlier history has other columns, or one is named twice or cannot be printed.
         OSError: on all ranks, also by :meth:`write`: the file cannot be written.
     """
 
     def __init__(self, path: Path | str, columns: Sequence[str], *, after: float | None = None) -> None:
-        self._columns = tuple(columns)
+        self._columns = tuple(checks.label("column", name) for name in columns)
+        if twice := [name for i, name in enumerate(self._columns) if name in ("t", *self._columns[:i])]:
+            raise ValueError(f"columns = {self._columns}: {twice[0]!r} is there twice (the first is 't')")
         self._file: Any = on_root(MPI.COMM_WORLD, lambda: _opened(Path(path), ["t", *self._columns], after))
 
     def write(self, t: float, *values: Any) -> None:

@@ -1,6 +1,7 @@
 """Runs of many steps that go on where they ended, were ended or were killed.
 
 ```python
+claim(out, restart=restart)                         # refuses the results of an earlier run, see tigar_x.writing
 run = Restart(out / "checkpoints", Integrators(flow=flow.time), every=100, inputs=inputs)
 if restart:
     run.read(restart)                               # "latest", a number or a file
@@ -28,6 +29,7 @@ from tigar_x import checks
 from tigar_x.checkpoint import Checkpoints
 from tigar_x.script import Termination, plain, versions
 from tigar_x.time_integration import TimeIntegrator
+from tigar_x.writing import on_root
 
 log = logging.getLogger(__name__)
 
@@ -35,9 +37,7 @@ ABSENT = "absent"
 """What a setting is that was not there."""
 KEEPS = "%s goes on with its dt = %g, not %g; assign to change it"
 ENDED = "ended after step %d at t = %.6g, as told; restart = latest goes on from %s"
-REPLACES = (
-    "%s has checkpoints up to step %d, which this run replaces with its own; restart = latest would go on from them"
-)
+OLD = "{} has checkpoints of an earlier run, up to step {}: go on from one (restart = latest), or take another folder"
 
 
 class State(Protocol):
@@ -154,6 +154,7 @@ class Restart:
         self.step = 0
         self.after: float | None = None
         self.extra: dict[str, Any] = {}
+        self._begun = False
 
     @property
     def _settings(self) -> dict[str, Any]:
@@ -166,9 +167,11 @@ class Restart:
             Its file.
 
         Raises:
+            FileExistsError: the run is new, and the folder has checkpoints of an earlier one.
             OSError: it cannot be written; earlier ones stay.
             ValueError: ``extra`` is no JSON.
         """
+        self._begin()
         record = {"state": self.state.record(), "settings": self._settings, "extra": self.extra}
         return self.checkpoints.write(self.step, record)
 
@@ -199,9 +202,11 @@ class Restart:
 
         Args:
             numbers: of the steps to make, the first one ``step + 1``.
+
+        Raises:
+            FileExistsError: on all ranks: the run is new, and the folder has checkpoints of an earlier one.
         """
-        if self.after is None and (old := self.checkpoints.numbers()):
-            _tell(logging.WARNING, REPLACES, self.checkpoints.folder, old[0])
+        self._begin()
         with Termination() as asked:
             for number in numbers:
                 yield number
@@ -212,6 +217,17 @@ class Restart:
                 if ends:
                     _tell(logging.INFO, ENDED, number, self.state.time, path)
                     return
+
+    def _begin(self) -> None:
+        """Refuse to replace the checkpoints of another run."""
+
+        def check() -> None:
+            if old := self.checkpoints.numbers():
+                raise FileExistsError(OLD.format(self.checkpoints.folder, old[0]))
+
+        if not self._begun and self.after is None:
+            on_root(MPI.COMM_WORLD, check)
+        self._begun = True
 
     def named(self, path: Path | str) -> Path:
         """Name of a file that cannot be continued: with the step after which a run goes on."""

@@ -50,9 +50,6 @@ class SavedFunctions:
     values: sp.csr_matrix
     boxes: FloatArray
 
-    def __post_init__(self) -> None:
-        checks.freeze(self)
-
     @property
     def n(self) -> int:
         """Number of functions."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from dolfinx import mesh
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.nodal import Nodes
 from tigar_x.output import Series, is_later
@@ -64,9 +64,9 @@ class VTKHDFSeries(Series):
         self._path, self._comm = Path(path), domain.comm
         if self._path.suffix != ".vtkhdf":
             raise ValueError(f"path = {str(path)!r}: a name that ends in .vtkhdf is required")
+        checks.label("path", self._path.name, without="%")  # HDF5 puts numbers there in names of virtual datasets
         for name in fields:
-            if not name or "/" in name or name == ".":
-                raise ValueError(f"fields: {name!r} is no name of a field in HDF5, which must not contain '/'")
+            checks.label("field", name, without="/%")
         self._h5 = _h5py()
         self._steps = self._path.with_suffix(".steps")
         self._type = np.dtype(np.float32 if single else np.float64)

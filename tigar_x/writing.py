@@ -1,4 +1,4 @@
-"""How files are written in a parallel run: by rank 0 alone, at once or not at all, with errors that all ranks raise.
+"""How files are written: by rank 0 alone, at once or not at all, with errors that all ranks raise.
 
 A rank that raises alone leaves the others waiting for it in the next collective call, so whatever one rank does for all
 goes through :func:`on_root` or :func:`root_only`, and what each rank does for itself but may fail on some through
@@ -19,6 +19,11 @@ from mpi4py import MPI
 P = ParamSpec("P")
 T = TypeVar("T")
 
+RESULTS = (
+    *("summary.json", "history.csv", "*.pvd", "*.vtu", "*.xdmf", "*.h5", "*.vtkhdf", "*.steps/*.h5"),
+    *("checkpoints/checkpoint_*.npz", "frames/*.png"),
+)
+"""What runs leave in their folders, but for pictures that any run draws again."""
 PATIENCE = 2.0
 """Seconds that a rank that failed waits for the others."""
 
@@ -95,6 +100,35 @@ def _portable(failure: Exception) -> Exception:
     except Exception:
         return RuntimeError(f"{type(failure).__name__}: {failure}")
     return failure
+
+
+def claim(out: Path, *, overwrite: bool = False, restart: str = "") -> None:
+    """Refuse a folder with the results of an earlier run, before a run replaces them one by one (collective).
+
+    Args:
+        out: folder of the results.
+        overwrite: whether to delete the results of the earlier run.
+        restart: checkpoint from which the run goes on; empty: it is new.
+
+    Raises:
+        FileExistsError: on all ranks: there are results, and the run neither goes on nor may overwrite them.
+        ValueError: both are asked for.
+    """
+    if overwrite and restart:
+        raise ValueError(f"restart = {restart!r} goes on with what overwrite = True deletes: one of them is allowed")
+    on_root(MPI.COMM_WORLD, lambda: None if restart else _cleared(out, overwrite))
+
+
+def _cleared(out: Path, overwrite: bool) -> None:
+    found = [path for pattern in RESULTS for path in sorted(out.glob(pattern))]
+    if found and not overwrite:
+        names = ", ".join(str(path.relative_to(out)) for path in found[:3]) + (", ..." if len(found) > 3 else "")
+        advice = "another folder, or overwrite = True (--overwrite), which deletes them"
+        if any(path.suffix == ".npz" for path in found):
+            advice += ', or restart = "latest" (--restart latest), which goes on from the last checkpoint'
+        raise FileExistsError(f"out = {out} has the results of an earlier run ({names}): {advice}, is required")
+    for path in found:
+        path.unlink(missing_ok=True)
 
 
 def replace_text(path: Path, text: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
+from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import checks, compat
@@ -23,6 +24,9 @@ from varmint.space import split
 
 if TYPE_CHECKING:
     from varmint.flow import Flow
+
+NEAR = 1e-9
+"""Relative to the size of the mesh, by how much a vertex may be farther than the nearest and count as nearest."""
 
 
 ROUNDED = 0.1
@@ -120,7 +124,8 @@ class OutletPressure:
         flow: the flow.
 
     Attributes:
-        pressure: Constant, in the residual.
+        groups: facet groups.
+        pressure: Constant, in the residual: after a step the pressure in its equations, at their level of time.
         load: linear form, derivative of the residual by the pressure.
         slope: linear form, derivative of the pressure by the unknown.
     """
@@ -129,7 +134,7 @@ class OutletPressure:
         f = flow.fields
         domain, motion, ds = f.mesh.domain, f.motion, f.ds(condition.groups)
         n = ale.normal(domain, motion)
-        self._condition = condition
+        self._condition, self.groups = condition, condition.groups
         self.pressure = fem.Constant(domain, float(condition.pressure))
         self._rate = ale.per_area(ufl.dot(f.v, n), domain, motion) * ds
         self._compiled: Any = None
@@ -138,7 +143,7 @@ class OutletPressure:
         self.slope = fem.Constant(domain, condition.resistance * level) * self.load
 
     def flow_rate(self) -> float:
-        """Flow rate at the present state (collective); unit: volume/time."""
+        """Flow rate at the present state, in a step that of its equations (collective); unit: volume/time."""
         if self._compiled is None:
             (self._compiled,) = compat.compile_forms(self._rate)
         return compat.assemble_scalar(self._compiled)
@@ -181,25 +186,47 @@ class FlowTime(TimeIntegrator):
     needs: Needs
 
 
-def pressure_pin(V: fem.FunctionSpace, at: Any) -> Any:
-    """Strong condition p = 0 at one vertex (collective).
+def pressure_pin(flow: "Flow") -> Any:
+    """Strong condition p = 0 at the vertex of the fluid next to ``pin_at``, or else to its centroid (collective).
+
+    It depends on the mesh alone, not on its partition: of several vertices that are as near it is the one with the
+    smallest coordinates, the first one first. A vertex that alone is nearest to the centroid turns with the mesh. Of
+    several, as in a box with odd numbers of cells, no rule can choose one that does: the box is the same after a turn
+    that exchanges them.
 
     Args:
-        V: space of velocity and pressure.
-        at: point, whose nearest vertex is taken; None: the vertex with the smallest sum of coordinates.
+        flow: the flow.
 
     Returns:
         A dolfinx boundary condition.
     """
-    domain = V.mesh
-    d = domain.geometry.dim
-    vertices = compat.cell_vertices(domain)[: compat.owned_cells(domain)].reshape(-1, d)
-    if at is None:
-        distance = vertices.sum(axis=1)
+    V, domain, at = flow.V, flow.mesh.domain, flow.options.pin_at
+    d, comm, owned = domain.geometry.dim, domain.comm, compat.owned_cells(domain)
+    cells = flow.mesh.cells(*flow.fluid_cells) if flow.fluid_cells else np.arange(owned)
+    corners = compat.cell_vertices(domain)[cells[cells < owned]]
+    target = _centroid(comm, corners) if at is None else checks.array("pin_at", at, (d,))
+    vertices = corners.reshape(-1, d)
+    ends = np.array(comm.allgather((vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf))))
+    near = NEAR * float((ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0)).max())
+    distance = np.linalg.norm(vertices - target, axis=1)
+    least = comm.allreduce(float(distance.min(initial=np.inf)), op=MPI.MIN)
+    found = comm.allgather(min(map(tuple, vertices[distance <= least + near].tolist()), default=None))
+    place = np.array(min(vertex for vertex in found if vertex is not None))
+    return compat.pin_component(V, d, lambda x: np.linalg.norm(x[:d].T - place, axis=1) < near)
+
+
+def _centroid(comm: MPI.Comm, corners: FloatArray) -> FloatArray:
+    """Centroid of cells with vertices of shape (cells, vertices, d), by their midpoints and sizes there (collective).
+
+    Neither depends on the numbering of vertices.
+    """
+    count, d = corners.shape[1:]
+    if count == d + 1:
+        jacobians = corners[:, 1:] - corners[:, :1]
     else:
-        distance = np.linalg.norm(vertices - checks.array("pin_at", at, (d,)), axis=1)
-    best = int(np.argmin(distance)) if len(distance) else -1
-    mine = (float(distance[best]), vertices[best].tolist()) if len(distance) else (np.inf, None)
-    place = np.array(min(domain.comm.allgather(mine), key=lambda entry: entry[0])[1])
-    size = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 1.0
-    return compat.pin_component(V, d, lambda x: np.linalg.norm(x[:d].T - place, axis=1) < 1e-9 * size)
+        signs = (np.arange(count)[:, None] >> np.arange(d) & 1) - 0.5
+        jacobians = np.einsum("vj,cvi->cji", signs, corners)
+    sizes = np.abs(np.linalg.det(jacobians))
+    moments = np.append(sizes @ corners.mean(axis=1), sizes.sum())
+    total = np.sum(comm.allgather(moments), axis=0)
+    return np.asarray(total[:-1] / total[-1])

@@ -74,7 +74,7 @@ class Fields:
             ValueError: it is not a finite vector of shape (d,).
         """
         domain, motion = self.mesh.domain, self.motion_end if end else self.motion
-        return checks.vector(name, given(data, ale.position(domain, motion), self.t if end else self.t_alpha), self.d)
+        return vector(name, given(name, data, ale.position(domain, motion), self.t if end else self.t_alpha), self.d)
 
     def mesh_velocity(self, *, end: bool = False) -> Any:
         """Velocity of the mesh; zero where it is fixed."""
@@ -86,15 +86,36 @@ class Fields:
         return self.mesh.ds(*on, degree=self.degree)
 
 
-def given(data: Any, x: Any, t: Any) -> Any:
+def given(name: str, data: Any, x: Any, t: Any) -> Any:
     """Data as they are, or what a callable makes of position and time.
 
     Args:
+        name: what messages call it.
         data: UFL, numbers or a callable.
         x: position.
         t: time.
     """
-    return data(x, t) if callable(data) and not isinstance(data, ufl.core.expr.Expr) else data
+    return compat.ask(name, data, x, t) if callable(data) and not isinstance(data, ufl.core.expr.Expr) else data
+
+
+def vector(name: str, value: Any, d: int) -> Any:
+    """UFL vector of numbers or UFL.
+
+    Args:
+        name: what messages call it.
+        value: sequence of numbers and UFL scalars, or UFL.
+        d: its length.
+
+    Raises:
+        ValueError: it is not a finite vector of shape (d,).
+    """
+    checks.entries(name, value)
+    if isinstance(value, Sequence | np.ndarray):
+        value = ufl.as_vector(list(value))
+    shape = getattr(value, "ufl_shape", None)
+    if shape != (d,):
+        raise ValueError(f"{name} has shape {shape}: shape ({d},) is required")
+    return value
 
 
 def _groups(on: str | Sequence[str]) -> tuple[str, ...]:

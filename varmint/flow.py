@@ -18,7 +18,7 @@ from tigar_x.linear import LinearSolver, SolveError, automatic
 from tigar_x.solve import FiniteElementSystem, NewtonReport, newton
 from tigar_x.time_integration import Scheme, generalized_alpha
 from varmint.attachments import FlowTime, Needs, OutletPressure, SolidInFlow, pressure_pin
-from varmint.conditions import Condition, Data, Fields, Resistance, given
+from varmint.conditions import Condition, Data, Fields, Resistance, given, vector
 from varmint.flow_checks import check_clock, check_cover, check_numbers
 from varmint.flow_options import (
     STALLED,
@@ -197,7 +197,7 @@ class Flow:
     def bcs(self) -> list[Any]:
         """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
         pin = self.is_closed and not self._by_null_space
-        return [*self._bcs, pressure_pin(self.V, self.options.pin_at)] if pin else self._bcs
+        return [*self._bcs, pressure_pin(self)] if pin else self._bcs
 
     @cached_property
     def updates(self) -> tuple[Callable[[float], None], ...]:
@@ -278,8 +278,8 @@ class Flow:
         if self.moving is not None:
             x = x + self.moving.time.x_old
         t = fem.Constant(domain, 0.0 if self.time is None else self.time.time)
-        u, p = given(velocity, x, t), given(pressure, x, t)
-        components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
+        u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
+        components = [0.0] * d if u is None else list(vector("velocity", u, d))
         checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
         state = ufl.as_vector([*components, 0.0 if p is None else p])
         if projected:

@@ -43,7 +43,7 @@ class FlowOptions:
         quadrature_degree: None: 2 k, and more where a mesh's displacement is not linear.
         pressure: how the constant of the pressure is fixed in a flow without an open boundary: by the null space of an
             iterative solver, which keeps the nodal mean, or by a pinned degree of freedom.
-        pin_at: where the pressure is pinned to zero; None: the vertex with the smallest sum of coordinates.
+        pin_at: where the pressure is pinned to zero, at the nearest vertex; None: at the centroid of the mesh.
         solver: linear solver recipe; None: by size, see :func:`tigar_x.linear.automatic`.
         rtol: accepted residual relative to the first one of a step or solve; None: ``STEP_RTOL`` or ``STEADY_RTOL``.
         max_iterations: Newton iterations after which a step or solve has failed.
@@ -76,8 +76,6 @@ class FlowOptions:
             if getattr(self, name) is not None:
                 check(name, getattr(self, name))
         checks.not_negative("C_t", self.C_t)
-        for name in ("invariant_metric", "frozen_tangent"):
-            checks.flag(name, getattr(self, name))
         checks.choice("pressure", self.pressure, ("automatic", "null space", "pin"))
         checks.whole("max_iterations", self.max_iterations, 1)
 

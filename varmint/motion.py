@@ -88,6 +88,11 @@ class MeshMotion:
             )
 
 
+def _check_shape(name: str, u: Any, domain: Any) -> None:
+    if u.ufl_shape != (domain.geometry.dim,):
+        raise ValueError(f"{name} has shape {u.ufl_shape}: ({domain.geometry.dim},) is required")
+
+
 class _Corners:
     """det F at the nodes of all cells of a mesh that a Lagrange space displaces."""
 
@@ -133,7 +138,8 @@ class PrescribedMotion(MeshMotion):
         super().__init__(mesh, dt, scheme, degree)
         domain, time = mesh.domain, self.time
         x, t = ufl.SpatialCoordinate(domain), ufl.variable(time.t)
-        u = checks.vector("displacement", displacement(x, t), domain.geometry.dim)
+        u = compat.ask("displacement", displacement, x, t)
+        _check_shape("displacement", u, domain)
         rate = ufl.diff(u, t)
         self._move = compat.Interpolation(time.x, u)
         end, time.t.value = float(time.t.value), time.time
@@ -201,8 +207,8 @@ class ElasticMotion(MeshMotion):
             dofs = compat.nodes_on_facets(V, mesh.facets(name))
             held.append(dofs)
             if data is not None:
-                target = fem.Function(V)
-                value = checks.vector(f"displacements[{name!r}]", data(x, self.time.t), domain.geometry.dim)
+                target, value = fem.Function(V), compat.ask(f"displacements[{name!r}]", data, x, self.time.t)
+                _check_shape(f"displacements[{name!r}]", value, domain)
                 self._data.append((compat.Interpolation(target, value), target, self._unblocked(dofs)))
         if cells:
             inside = np.setdiff1d(np.arange(len(compat.cell_nodes(domain)), dtype=np.int32), mesh.cells(*cells))

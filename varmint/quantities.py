@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from varmint import ale
+from varmint.attachments import OutletPressure
 from varmint.flow import Flow
 from varmint.space import split
 
@@ -41,6 +42,20 @@ def flow_rate(flow: Flow, *names: str) -> ufl.Form:
     domain, motion = flow.mesh.domain, flow.fields.motion_end
     flux = ufl.dot(_velocity(flow), ale.normal(domain, motion))
     return ale.per_area(flux, domain, motion) * flow.mesh.ds(*names, degree=flow.fields.degree)
+
+
+def outlet(flow: Flow, name: str) -> OutletPressure:
+    """Outlet with a resistance: ``float(outlet.pressure.value)`` and ``outlet.flow_rate()``.
+
+    Args:
+        flow: the flow.
+        name: facet group of the outlet.
+
+    Raises:
+        ValueError: there is no such outlet.
+    """
+    outlets = {group: one for one in flow.rank_one for group in one.groups}
+    return outlets[checks.choice("name", name, tuple(outlets))]
 
 
 def area(flow: Flow, *names: str) -> ufl.Form:
@@ -208,13 +223,9 @@ class NodalField:
 
     Attributes:
         field: the function.
-
-    Raises:
-        ValueError: the measure is not one of the mesh's cells or boundary.
     """
 
     def __init__(self, flow: Flow, name: str, expression: Any, measure: ufl.Measure, weight: Any = 1.0) -> None:
-        checks.measure("measure", measure, flow.mesh.domain, "cell", "exterior_facet")
         shape = expression.ufl_shape
         V = compat.lagrange_space(flow.mesh.domain, 1, shape[0] if shape else 1)
         self.field = fem.Function(V, name=name)

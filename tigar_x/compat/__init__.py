@@ -62,6 +62,7 @@ from tigar_x.compat.spaces import (
     tabulate,
     tabulate_gradients,
 )
+from tigar_x.compat.symbols import ask
 
 __all__ = [
     "VERSION",
@@ -84,6 +85,7 @@ __all__ = [
     "subcells",
     "tabulate",
     "tabulate_gradients",
+    "ask",
     "bounding_box_tree",
     "candidate_cells",
     "cell_name",

@@ -1,0 +1,58 @@
+"""Users' functions of UFL expressions, which are asked once for an expression and not for numbers."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from tigar_x.compat.release import VERSION
+
+_OF_UFL: tuple[type[Exception], ...] = (TypeError, ValueError, AttributeError)
+if VERSION < (0, 9):
+    _OF_UFL += (ufl.log.UFLException,)
+
+
+def _refuse(self: Any, *_: Any) -> Any:
+    raise TypeError(f"{self} is an expression without a value, of which no number can be made")
+
+
+@contextmanager
+def _without_values() -> Iterator[None]:
+    """Inside the ``with`` statement nothing in UFL becomes a number but numbers.
+
+    Else an expression with a Constant takes for ever (UFL 2022), or has for good the value that it had at first.
+    """
+    names = ("__float__", "__complex__", "__round__", "__int__", "__index__")
+    kept = [(owner, name, vars(owner)[name]) for owner in (Expr, fem.Constant) for name in names if name in vars(owner)]
+    for owner, name, _ in kept:
+        setattr(owner, name, _refuse)
+    try:
+        yield
+    finally:
+        for owner, name, method in kept:
+            setattr(owner, name, method)
+
+
+def ask(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a user's function makes of UFL expressions.
+
+    Args:
+        name: what messages call it.
+        function: the function.
+        arguments: UFL expressions.
+
+    Raises:
+        ValueError: it has treated them as numbers.
+    """
+    try:
+        with _without_values():
+            return function(*arguments)
+    except _OF_UFL as error:
+        raise ValueError(
+            f"{name}: the function that was given ends with {type(error).__name__}: {error}. It is asked for a UFL"
+            " expression of UFL expressions: ufl.sin(t) in place of math.sin(t) or numpy.sin(t), and"
+            " ufl.conditional(ufl.lt(t, 1.0), a, b) in place of 'a if t < 1.0 else b'"
+        ) from error
