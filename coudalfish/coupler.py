@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from coudalfish.levels import check_schemes
 from coudalfish.mesh_motion import check_levels
 from coudalfish.options import CouplingOptions, PenaltyRule
 from coudalfish.report import RejectedStepError, StepError, StepReport
@@ -83,11 +84,7 @@ class CouDALFISh:
         times = self.timeInt_f.time, self.timeInt_sh.time, self.timeInt_f.step_size, self.timeInt_sh.step_size
         if not (math.isclose(times[0], times[1], abs_tol=1e-12 * times[2]) and math.isclose(times[2], times[3])):
             raise ValueError(f"clocks (t, dt): fluid {times[0::2]}, shell {times[1::2]}: they must be equal")
-        if not math.isclose(self.timeInt_f.scheme.alpha_f, self.timeInt_sh.scheme.alpha_f):
-            raise ValueError(
-                f"alpha_f: fluid {self.timeInt_f.scheme.alpha_f}, shell {self.timeInt_sh.scheme.alpha_f}: both sides "
-                "must share the intermediate level (use first_order_alpha_m=True and the same rho_infinity)"
-            )
+        check_schemes(self.timeInt_f, self.timeInt_sh)
         if self.fluid.moving is not None:
             check_levels(self.fluid.moving, self.timeInt_f)
         if isinstance(self.options.penalty, PenaltyRule) and None in (self.fluid.density, self.fluid.viscosity):

@@ -94,6 +94,7 @@ class CouplingOptions:
         checks.not_negative("block_rtol", self.block_rtol)
         checks.not_negative("block_atol", self.block_atol)
         checks.whole("max_passes", self.max_passes, 1)
+        checks.flag("second_attempt", self.second_attempt)
         checks.whole("acceleration", self.acceleration, 0)
         checks.whole("accelerate_after", self.accelerate_after, 0)
 

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from dolfinx import fem, mesh
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.linear import SolveError
 
@@ -35,6 +35,9 @@ class Location:
     cells: IntArray
     barycentric: FloatArray
     active: Any
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
 
     @property
     def owned(self) -> Any:
@@ -188,7 +191,7 @@ class PointLocator:
             vertices, values = found, total
         names, columns = np.unique(vertices, return_inverse=True)
         starts = np.arange(0, values.size + 1, values.shape[1])
-        return sp.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(values), len(names)))
+        return sp.csr_matrix((values.flatten(), columns.ravel(), starts), shape=(len(values), len(names)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +207,9 @@ class TraceMatrix:
 
     B: sp.csr_matrix
     nodes: IntArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
 
     @cached_property
     def transposed(self) -> sp.csr_matrix:

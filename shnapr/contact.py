@@ -65,6 +65,9 @@ class ContactForces:
     distance: float
     coincident: int
 
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
 
 class SelfContact:
     """Contact of a shell, or of several in one spline, with itself.

@@ -4,24 +4,14 @@ Displacements, rates and test functions are homogeneous fields; forces, pressure
 are numbers, Constants or UFL expressions over the parametric mesh.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import ufl
 
 from shnapr.kinematics import area_vector, midsurface
 from tigar_x import checks
+from tigar_x.measures import SideMeasure, require_sides
 from tigar_x.spline import ExtractedSpline
-
-
-class EdgeMeasure(Protocol):
-    """Integration over edges of the reference configuration, such as ``spline.ds("u1")``."""
-
-    @property
-    def normal(self) -> Any:
-        """Outward normal of the parametric domain, shape (m,)."""
-
-    def __rmul__(self, integrand: Any) -> ufl.Form:
-        """Form of an integrand."""
 
 
 def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any, thickness: Any) -> ufl.Form:
@@ -36,7 +26,12 @@ def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any,
 
     Returns:
         Residual form.
+
+    Raises:
+        ValueError: a parameter is no number, Constant or UFL scalar, or out of range.
     """
+    checks.parameter("density", density, checks.not_negative)
+    checks.parameter("thickness", thickness, checks.positive)
     R = spline.rationalize
     return density * thickness * ufl.inner(R(acceleration), R(z)) * spline.dx
 
@@ -58,7 +53,7 @@ def mass_damping(
         Residual form.
 
     Raises:
-        ValueError: the coefficient is out of range.
+        ValueError: a parameter is no number, Constant or UFL scalar, or out of range.
     """
     checks.parameter("coefficient", coefficient, checks.not_negative)
     return inertia(spline, coefficient * velocity, z, density=density, thickness=thickness)
@@ -78,7 +73,7 @@ def dead_load(spline: ExtractedSpline, force: Any, z: Any) -> ufl.Form:
     Raises:
         ValueError: the force has another shape.
     """
-    return -ufl.inner(_vector("force", force, spline.nsd), spline.rationalize(z)) * spline.dx
+    return -ufl.inner(checks.vector("force", force, spline.nsd), spline.rationalize(z)) * spline.dx
 
 
 def gravity(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any, thickness: Any) -> ufl.Form:
@@ -95,9 +90,11 @@ def gravity(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any,
         Residual form.
 
     Raises:
-        ValueError: the acceleration has another shape.
+        ValueError: the acceleration has another shape, or a parameter is none or out of range.
     """
-    return dead_load(spline, density * thickness * _vector("acceleration", acceleration, spline.nsd), z)
+    checks.parameter("density", density, checks.not_negative)
+    checks.parameter("thickness", thickness, checks.positive)
+    return dead_load(spline, density * thickness * checks.vector("acceleration", acceleration, spline.nsd), z)
 
 
 def follower_pressure(spline: ExtractedSpline, pressure: Any, y: Any, z: Any) -> ufl.Form:
@@ -113,7 +110,7 @@ def follower_pressure(spline: ExtractedSpline, pressure: Any, y: Any, z: Any) ->
         Residual form.
 
     Raises:
-        ValueError: the pressure is not finite.
+        ValueError: the pressure is no finite scalar.
     """
     checks.parameter("pressure", pressure, checks.finite)
     R = spline.rationalize
@@ -121,25 +118,26 @@ def follower_pressure(spline: ExtractedSpline, pressure: Any, y: Any, z: Any) ->
     return -pressure * ufl.dot(area, R(z)) * spline.dx
 
 
-def edge_traction(spline: ExtractedSpline, traction: Any, z: Any, ds: EdgeMeasure) -> ufl.Form:
+def edge_traction(spline: ExtractedSpline, traction: Any, z: Any, ds: SideMeasure) -> ufl.Form:
     """Virtual work of a dead force on edges, ``-int t . z ds``.
 
     Args:
         spline: the midsurface.
         traction: force per reference length of the edge (in the plane: at the point, per depth), shape (nsd,).
         z: test function in ``spline.V``.
-        ds: measure of the edges.
+        ds: measure of the edges, such as ``spline.ds("u1")``.
 
     Returns:
         Residual form.
 
     Raises:
-        ValueError: the traction has another shape.
+        ValueError: the traction has another shape, or the measure is not one of this spline's sides.
     """
-    return -ufl.inner(_vector("traction", traction, spline.nsd), spline.rationalize(z)) * ds
+    require_sides("ds", ds, spline.mesh)
+    return -ufl.inner(checks.vector("traction", traction, spline.nsd), spline.rationalize(z)) * ds
 
 
-def edge_moment(spline: ExtractedSpline, moment: Any, y: Any, z: Any, ds: EdgeMeasure) -> ufl.Form:
+def edge_moment(spline: ExtractedSpline, moment: Any, y: Any, z: Any, ds: SideMeasure) -> ufl.Form:
     """Virtual work of a moment about the current tangent of edges, ``-int M a_3 . dz/dnu ds``.
 
     With the parametric normal N the outward conormal has the components ``nu^alpha = a^{alpha beta} N_beta /
@@ -151,27 +149,18 @@ def edge_moment(spline: ExtractedSpline, moment: Any, y: Any, z: Any, ds: EdgeMe
         moment: M per reference length of the edge (in the plane: at the point, per depth); unit: force.
         y: homogeneous displacement, shape (nsd,).
         z: test function in ``spline.V``.
-        ds: measure of the edges.
+        ds: measure of the edges, such as ``spline.ds("u1")``.
 
     Returns:
         Residual form.
 
     Raises:
-        ValueError: the moment is not finite.
+        ValueError: the moment is no finite scalar, or the measure is not one of this spline's sides.
     """
+    require_sides("ds", ds, spline.mesh)
     checks.parameter("moment", moment, checks.finite)
     current = midsurface(spline, spline.rationalize(y))
     raised = ufl.inv(current.metric) * ds.normal
     conormal = raised / ufl.sqrt(ufl.dot(ds.normal, raised))
     slope = spline.parametric_grad(spline.rationalize(z)) * conormal
     return -moment * ufl.dot(current.normal, slope) * ds
-
-
-def _vector(name: str, value: Any, size: int) -> Any:
-    """A vector from a sequence, a Constant or a UFL expression."""
-    if not hasattr(value, "ufl_shape"):
-        checks.entries(name, value)
-        value = ufl.as_vector(list(value))
-    if value.ufl_shape != (size,):
-        raise ValueError(f"{name} has shape {value.ufl_shape}: shape ({size},) is required")
-    return value

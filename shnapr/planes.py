@@ -42,10 +42,7 @@ class RigidPlane:
             raise ValueError(f"normal = {self.normal}: a vector other than zero is required")
         normal = normal / np.abs(normal).max()
         object.__setattr__(self, "normal", tuple((normal / np.linalg.norm(normal)).tolist()))
-        checks.entries("point", self.point)
-        shape = getattr(self.point, "ufl_shape", None) or np.shape(self.point)
-        if shape != normal.shape:
-            raise ValueError(f"point has shape {shape}: shape {normal.shape}, that of normal, is required")
+        checks.vector("point", self.point, len(normal))
         checks.parameter("stiffness", self.stiffness, checks.positive)
         plain = isinstance(self.smoothing, numbers.Real)
         checks.parameter("smoothing", self.smoothing, checks.not_negative if plain else checks.positive)
@@ -90,7 +87,7 @@ def plane_contact(spline: ExtractedSpline, plane: RigidPlane, y: Any, z: Any) ->
         raise ValueError(f"plane.normal has shape ({len(plane.normal)},): shape ({spline.nsd},) is required")
     reference, current = midsurface(spline), midsurface(spline, spline.rationalize(y))
     m = ufl.as_vector(plane.normal)
-    point = plane.point if hasattr(plane.point, "ufl_shape") else ufl.as_vector(list(plane.point))
+    point = checks.vector("plane.point", plane.point, spline.nsd)
     pressure = plane.traction(ufl.dot(point - current.x, m))
     stretch = ufl.sqrt(ufl.det(current.metric) / ufl.det(reference.metric))
     return -pressure * stretch * ufl.dot(m, spline.rationalize(z)) * spline.dx

@@ -1,4 +1,4 @@
-"""Supports of a shell's edges, by name: degrees of freedom of the displacement that do not move.
+"""Supports of a shell's edges, by name, and of whole shells: degrees of freedom of the displacement that do not move.
 
 Symmetry, which ties degrees of freedom to each other, is in :func:`tigar_x.constraints.symmetry`.
 """
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tigar_x.compat import IntArray
-from tigar_x.multipatch import MultiPatch
+from tigar_x.multipatch import MultiPatch, as_multipatch
 from tigar_x.patch import Patch
 
 
@@ -51,6 +51,28 @@ def pinned(
         ValueError: no side is named, or there is no such side, patch or axis.
     """
     return _layers(geometry, sides, patch, 1, components)
+
+
+def fixed(geometry: Patch | MultiPatch, *, patch: int | None = None) -> IntArray:
+    """Whole shells that do not move at all, such as rigid bodies and walls that are immersed in a flow.
+
+    They go to the spline as ``zero_dofs``.
+
+    Args:
+        geometry: the shell.
+        patch: which patch; None: all.
+
+    Returns:
+        Zero dofs (function * nsd + component), sorted.
+
+    Raises:
+        ValueError: there is no such patch.
+    """
+    whole = as_multipatch(geometry)
+    if patch is None:
+        return geometry.dofs(np.arange(geometry.n))
+    own = np.arange(whole.patches[whole.checked(patch)].n, dtype=np.int32)
+    return geometry.dofs(np.unique(whole.functions.global_numbers(patch, own)))
 
 
 def _layers(

@@ -26,7 +26,7 @@ class StVenantKirchhoff:
         bending: whether curvature enters the energy; False makes a membrane.
 
     Raises:
-        ValueError: a parameter is out of range.
+        ValueError: a parameter is no number, Constant or UFL scalar (a prestress: no vector), or is out of range.
     """
 
     youngs_modulus: Any
@@ -41,7 +41,9 @@ class StVenantKirchhoff:
         checks.parameter("thickness", self.thickness, checks.positive)
         checks.parameter("poisson_ratio", self.poisson_ratio, checks.poisson)
         for name in ("prestress", "bending_prestress"):
-            checks.entries(name, getattr(self, name))
+            if getattr(self, name) is not None:
+                checks.vector(name, getattr(self, name))
+        checks.flag("bending", self.bending)
         if self.bending_prestress is not None and not self.bending:
             raise ValueError("bending_prestress is given with bending = False: a membrane carries no moments")
 
@@ -75,12 +77,12 @@ class StVenantKirchhoff:
         D = self.plane_stress(len(eps))
         W = h / 2 * ufl.dot(eps, D * eps)
         if self.prestress is not None:
-            W += ufl.dot(_resultant("prestress", self.prestress, len(eps)), eps)
+            W += ufl.dot(checks.vector("prestress", self.prestress, len(eps)), eps)
         if self.bending:
             kap = local_voigt(reference, curvature_change(reference, current))
             W += h**3 / 24 * ufl.dot(kap, D * kap)
             if self.bending_prestress is not None:
-                W += ufl.dot(_resultant("bending_prestress", self.bending_prestress, len(eps)), kap)
+                W += ufl.dot(checks.vector("bending_prestress", self.bending_prestress, len(eps)), kap)
         return W
 
     def strain(self, reference: Midsurface, current: Midsurface, zeta: Any) -> Any:
@@ -137,10 +139,3 @@ def _padded(resultant: Any) -> Any:
     """A prestress in Voigt notation for two directions; along the generator of a curve there is none."""
     vector = resultant if hasattr(resultant, "ufl_shape") else ufl.as_vector(list(resultant))
     return vector if len(vector) == 3 else ufl.as_vector([vector[0], 0, 0])
-
-
-def _resultant(name: str, value: Any, strains: int) -> Any:
-    vector = value if hasattr(value, "ufl_shape") else ufl.as_vector(list(value))
-    if vector.ufl_shape != (strains,):
-        raise ValueError(f"{name} has shape {vector.ufl_shape}: shape ({strains},) is required")
-    return vector

@@ -9,6 +9,7 @@ from dolfinx import fem, mesh
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
 from shnapr.loads import inertia
+from shnapr.supports import fixed
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x import compat, shapes
@@ -52,8 +53,12 @@ def sheet_in_flow(
     stiffness=10.0,
     weights=None,
     contact=None,
+    held=False,
 ):
-    """Free elastic sheets in a box whose walls move with a uniform velocity; lengths scale with ``length``."""
+    """Free elastic sheets in a box whose walls move with a uniform velocity; lengths scale with ``length``.
+
+    Those that are ``held`` do not move at all.
+    """
     L = length
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.zeros(2), np.full(2, L)], [n, n], mesh.CellType.triangle)
     V = compat.mixed_space(domain, (2, 2), (1, 1)) if taylor_hood else equal_order_space(domain)
@@ -91,6 +96,7 @@ def sheet_in_flow(
         traction=traction,
         weights=weights,
         contact=contact,
+        held=held,
     )
     fsi = CouDALFISh(fluid, sheet.shell, CouplingOptions() if options is None else options)
     return SimpleNamespace(fsi=fsi, fluid=fluid, w=w, g=g, mu=c_mu, domain=domain, **vars(sheet))
@@ -109,6 +115,7 @@ def free_sheet(
     traction=0.0,
     weights=None,
     contact=None,
+    held=False,
 ):
     """Straight elastic sheets without supports, each with a uniform velocity; ``contact`` makes it of the points."""
     lines = [
@@ -119,7 +126,7 @@ def free_sheet(
         lines = [Patch.from_points(line.bases, line.points, weights(line.basis.n)) for line in lines]
     velocities = np.broadcast_to(np.asarray(velocity, dtype=float), (len(lines), 2))
     patch = lines[0] if len(lines) == 1 else disjoint(*lines)
-    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=6)
+    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=6, zero_dofs=fixed(patch) if held else ())
     y = spline.function(name="y")
     time = TimeIntegrator(
         y,

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from shnapr.supports import fixed
 from tigar_x import shapes, surfaces
 from tigar_x.constraints import no_rotation
+from tigar_x.multipatch import glued
+from tigar_x.patch import Patch
 
 PANEL = surfaces.cylinder_panel(radius=2.0, length=1.5, angle=1.2, elements=(3, 4), degrees=(3, 3))
 
@@ -68,3 +71,34 @@ def test_what_is_no_edge_of_a_shell_is_refused():
     with pytest.raises(ValueError, match="side u0 has a point without a normal"):
         no_rotation(cap, "pole")
     assert no_rotation(cap, "rim").shape[0] == len(cap.side("rim"))
+
+
+@pytest.mark.parametrize("side", ["u0", "u1", "v0", "v1"])
+def test_the_edges_of_a_square_disc_do_not_turn_though_two_of_them_meet_in_one_tangent(side):
+    """Where they meet, the normal is the limit of those beside it; on a tilted disc it is that of its plane."""
+    flat = surfaces.disc(radius=2.0, elements=(3, 2), degrees=(3, 2))
+    tilt = np.eye(4)
+    tilt[:2, 2] = 0.3, -0.2
+    disc = Patch(flat.bases, flat.control @ tilt)
+    normal = np.array([-0.3, 0.2, 1.0]) / np.sqrt(1.13)
+    rows = no_rotation(disc, side).toarray().reshape(-1, disc.n, 3)
+    assert rows.shape[0] == len(disc.side(side))
+    lengths = np.linalg.norm(rows, axis=2)
+    assert ((lengths > 0).sum(axis=1) == 2).all()
+    np.testing.assert_allclose(rows @ normal, lengths * np.sign(rows[..., 2]), rtol=0, atol=1e-9)
+    x = disc.points
+    in_plane = np.column_stack([x[:, 1] ** 2, x[:, 0] * x[:, 1], 0.3 * x[:, 1] ** 2 - 0.2 * x[:, 0] * x[:, 1]])
+    assert violation(disc, in_plane, side) < 1e-9
+    assert violation(disc, normal * x[:, :1], side) > 1e-2
+
+
+def test_whole_shells_are_fixed():
+    left, right = (shapes.plate(lengths=(1, 1), center=(x, 0, 0), elements=(2, 1), degrees=(2, 1)) for x in (0, 1))
+    both = glued(left, right)
+    np.testing.assert_array_equal(fixed(left), np.arange(3 * left.n))
+    np.testing.assert_array_equal(fixed(both), np.arange(3 * both.n))
+    second = fixed(both, patch=1)
+    assert len(second) == 3 * right.n
+    np.testing.assert_array_equal(np.unique(both.points[second[::3] // 3][:, 0]), np.unique(right.points[:, 0]))
+    with pytest.raises(ValueError, match=r"^patch = 2: one of 0, 1"):
+        fixed(both, patch=2)

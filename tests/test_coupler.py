@@ -11,6 +11,7 @@ from scenes import sheet_in_flow
 from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
 from tigar_x import compat
 from tigar_x.linear import gmres_ilu
+from tigar_x.time_integration import TimeIntegrator, backward_euler, generalized_alpha
 
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 
@@ -302,13 +303,36 @@ def test_subproblems_must_fit():
     scene, other = sheet_in_flow(), sheet_in_flow(dt=0.05)
     with pytest.raises(ValueError, match=r"clocks \(t, dt\).*must be equal"):
         CouDALFISh(scene.fluid, other.shell)
-    with pytest.raises(ValueError, match=r"alpha_f.*first_order_alpha_m"):
+    with pytest.raises(ValueError, match=r"alpha_f: fluid 0\.66.*, shell 1: .*same rho_infinity"):
         CouDALFISh(scene.fluid, sheet_in_flow(rho_infinity=0.0).shell)
     scene.fluid.density = None
     with pytest.raises(ValueError, match="penalty rule needs the fluid's density"):
         CouDALFISh(scene.fluid, scene.shell)
     with pytest.raises(ValueError, match="multiplier"):
         CouDALFISh(scene.fluid, scene.shell, CouplingOptions(penalty=1.0), multiplier=np.nan)
+
+
+@pytest.mark.parametrize(
+    ("side", "scheme", "message"),
+    [
+        ("shell", generalized_alpha(0.5, 2), r"^alpha_m: fluid 0\.8333.*, shell 1: .*first_order_alpha_m=True"),
+        ("shell", backward_euler(2), r"^alpha_f: fluid 0\.6666.*, shell 1: .*same rho_infinity"),
+        ("shell", generalized_alpha(0.5, 2, first_order_alpha_m=True), None),
+        ("shell", generalized_alpha(0.5), None),
+        ("fluid", generalized_alpha(0.5), r"^algebraic = \(\) of the fluid's integrator: \(2,\) is required"),
+        ("fluid", generalized_alpha(0.5, 2), "^order of the fluid's scheme = 2: 1 is required"),
+    ],
+)
+def test_both_sides_share_all_levels_and_the_pressure_is_not_integrated(side, scheme, message):
+    """At rho_infinity = 1/2 the shell's own alpha_m would be 1, the fluid's is 5/6."""
+    scene = sheet_in_flow()
+    x = scene.fluid.timeInt.x if side == "fluid" else scene.shell.timeInt.x
+    getattr(scene, side).timeInt = TimeIntegrator(x, 0.1, scheme)
+    if message is None:
+        CouDALFISh(scene.fluid, scene.shell)
+        return
+    with pytest.raises(ValueError, match=message):
+        CouDALFISh(scene.fluid, scene.shell)
 
 
 @pytest.mark.parametrize(("name", "value"), [("rho", 0.0), ("mu", -1.0), ("dt", 0.0), ("stiffness", -1.0)])
@@ -328,3 +352,14 @@ def test_memory_does_not_grow():
         scene.fsi.takeStep()
     assert rss_mib() - start < 2.0
     assert MPI.COMM_WORLD.size >= 1
+
+
+@pytest.mark.mpi
+def test_a_shell_that_is_fixed_is_a_wall():
+    """It stays where it is to the last bit, and takes the force of the flow against it."""
+    scene = sheet_in_flow((0.3, 0.0), sheet_velocity=(0.0, 0.0), held=True)
+    for _ in range(2):
+        report = scene.fsi.takeStep()
+    assert not scene.y.x.array.any()
+    assert report.monitors.force[0] > 0.01
+    assert report.monitors.force_imbalance < 1e-9

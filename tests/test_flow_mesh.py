@@ -968,6 +968,23 @@ def test_flux_out_of_the_channel_is_the_integral_of_the_divergence():
 
 
 @pytest.mark.mpi
+def test_a_rigid_beam_is_no_part_of_the_mesh():
+    """Its surface alone is, without the root on the cylinder; the fluid's cells are as many as with an elastic one."""
+    pytest.importorskip("gmsh")
+    options = dict(size=0.05, beam=(0.35, 0.02), length=2.5)
+    rigid, elastic = channel_with_cylinder(COMM, rigid=True, **options), channel_with_cylinder(COMM, **options)
+    assert rigid.facet_names == ("inlet", "outlet", "walls", "cylinder", "beam")
+    assert rigid.cell_names == rigid.inner_facet_names == ()
+    sides, others = facet_contents(rigid), facet_contents(elastic)
+    assert sides["beam"] == pytest.approx(others["interface"], rel=1e-12)
+    assert sides["cylinder"] == pytest.approx(others["cylinder"], rel=1e-12)
+    n, F = ufl.FacetNormal(rigid.domain), ufl.SpatialCoordinate(rigid.domain)
+    area = value(ufl.div(F) * rigid.dx(degree=1)) / 2.0
+    assert area == pytest.approx(cell_contents(elastic)["fluid"], rel=1e-9)
+    assert value(ufl.dot(F, n) * rigid.ds(*rigid.facet_names, degree=1)) == pytest.approx(2.0 * area, rel=1e-12)
+
+
+@pytest.mark.mpi
 def test_the_beam_is_a_part_of_the_mesh_behind_the_cylinder():
     pytest.importorskip("gmsh")
     m = channel_with_cylinder(COMM, size=0.05, beam=(0.35, 0.02), length=2.5)
@@ -1036,6 +1053,8 @@ def test_the_wake_is_refined_on_demand():
             r"beam = \(1.95, 0.02\): a length in \(0, 1.95\) and a thickness in \(0, 0.1\) are req",
         ),
         ({"beam": (0.35, 0.1)}, r"beam = \(0.35, 0.1\): a length in \(0, 1.95\) and a thickness in \(0, 0.1\) are req"),
+        ({"rigid": True}, "rigid = True with beam = None: a beam's length"),
+        ({"rigid": "yes"}, "rigid = 'yes': True or False is required"),
         ({"beam": 0.35}, r"beam has shape \(\): shape \(2\) is required"),
     ],
 )

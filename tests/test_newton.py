@@ -10,12 +10,17 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 from petsc4py import PETSc
 
+from shnapr import loads
+from shnapr.supports import clamped
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import internal_work
 from tigar_x import compat, shapes
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import SolveError
 from tigar_x.solve import FiniteElementSystem, newton
 from tigar_x.spline import ExtractedSpline
 from tigar_x.spline_system import SplineSystem
+from tigar_x.time_integration import TimeIntegrator, backward_euler
 
 
 def nonlinear_poisson(*, exact_tangent=True, start=0.0):
@@ -354,6 +359,52 @@ def test_rounding_is_what_solutions_are_left_with():
     once_more = newton(system, rtol=0.0, atol=system.rounding)
     assert once_more.norms[-1] <= system.rounding()
     assert system.rounding() < 1e-9 * report.norms[0]
+
+
+def shell_strip():
+    """A clamped curve in the plane with inertia, damping and a load at its end, and its system."""
+    line = shapes.line((0, 0), (1, 0), elements=4, degree=2)
+    spline = ExtractedSpline(line, MPI.COMM_SELF, zero_dofs=clamped(line, "u0"))
+    y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
+    time = TimeIntegrator(y, 20.0, backward_euler(2))
+    load = fem.Constant(spline.mesh, (0.0, 0.0))
+    material = StVenantKirchhoff(1e3, 0.0, 0.1)
+    body = dict(density=1.0, thickness=0.1)
+    residual = internal_work(spline, material, y, z) + loads.inertia(spline, time.xddot_alpha, z, **body)
+    residual += loads.mass_damping(spline, time.xdot_alpha, z, coefficient=5.0, **body)
+    residual += loads.edge_traction(spline, load, z, spline.ds("u1"))
+    return SplineSystem(spline, residual, ufl.derivative(residual, y), unknown=y), time, load
+
+
+def test_a_shell_that_comes_to_rest_goes_on():
+    """Rounding ends its steps; in the end they start at their solution. A load that is small counts none the less."""
+    system, time, load = shell_strip()
+    time.x_old.x.array[1::2] = 1e-3 * np.sin(system.space.node_positions[:, 0]) ** 2
+    for _ in range(40):
+        time.predict()
+        report = newton(system, rtol=1e-6)
+        time.advance()
+    assert 0.0 < report.norms[-1] <= system.rounding() < 1e-12
+    assert len(report.linear_iterations) <= 3
+    assert np.abs(time.xdot_old.x.array).max() < 1e-15
+    for force in (1e-3, 1e-7):
+        load.value[:] = 0.0, force
+        time.predict()
+        report = newton(system, rtol=1e-3)
+        assert report.norms[-1] < 1e-3 * report.norms[0]
+
+
+@pytest.mark.mpi
+def test_newton_at_a_solution_is_done():
+    """With and without a line search and kept tangents; one that is no solution up to rounding still fails."""
+    for options in ({}, {"keep": 0.2}, {"line_search": LineSearch()}):
+        system, _ = nonlinear_poisson()
+        newton(system, rtol=0.0, atol=1e-13 * newton(system, rtol=1e-11).norms[0])
+        report = newton(system, **options, rtol=1e-5)
+        assert len(report.linear_iterations) <= 2
+        assert report.norms[0] <= system.rounding()
+    with pytest.raises(SolveError):
+        newton(nonlinear_poisson()[0], rtol=1e-20, max_iterations=30)
 
 
 # -- additions from outside, and splines ------------------------------------------------------------------------------

@@ -2,11 +2,17 @@
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from geometry import grid
 
+from coudalfish.trace import Location
 from tigar_x import shapes
 from tigar_x.bspline import BSplineBasis, open_knots, periodic_knots
+from tigar_x.locate import closest_points
+from tigar_x.multipatch import glued
 from tigar_x.patch import SIDES, Patch
+from tigar_x.quadrature import NodalQuadrature
+from tigar_x.spline import ExtractedSpline
 
 QUADRATIC = BSplineBasis(2, open_knots(2, [0, 1]))
 LINE = BSplineBasis(1, open_knots(1, [0, 1, 2]))  # 3 functions
@@ -436,3 +442,41 @@ def test_splipy_with_another_continuity_at_its_start():
     curve = Curve(knots, np.random.default_rng(0).uniform(size=(4, 2)))
     with pytest.raises(ValueError, match=r"shape has .* in direction 0: 2 knots at both ends required"):
         Patch.from_splipy(curve)
+
+
+def test_what_splipy_has_and_a_patch_has_not_is_refused():
+    """A trimmed surface would become the whole one."""
+    from splipy import BSplineBasis as Knots
+    from splipy import Curve, TrimmedSurface
+
+    corners = [(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)]
+    loop = [Curve(Knots(2), [a, b]) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    with pytest.raises(ValueError, match=r"^shape = TrimmedSurface: .* has to be cut into patches first$"):
+        Patch.from_splipy(TrimmedSurface(Knots(2), Knots(2), loops=[loop]))
+    for other in (None, "disc", surface()):
+        with pytest.raises(ValueError, match=r"^shape = .*: a splipy Curve, Surface or Volume is required"):
+            Patch.from_splipy(other)
+
+
+# -- frozen -----------------------------------------------------------------------------------------------------------
+
+
+def test_arrays_of_frozen_data_cannot_be_written_to():
+    """A write to a copy would be lost without a word."""
+    line = shapes.line((0, 0), (1, 0), elements=2, degree=2)
+    spline = ExtractedSpline(line, MPI.COMM_SELF)
+    both = glued(line, shapes.line((1, 0), (2, 0), elements=2, degree=2))
+    quadrature, closest = NodalQuadrature.of(spline), closest_points(line, [[0.5, 0.1]])
+    location = Location(np.array([0]), np.array([[0.2, 0.3, 0.5]]), np.array([True]))
+    arrays = {
+        "points": line.points, "weights": line.weights, "control": line.control, "knots": line.bases[0].knots,
+        "of several": both.points, "their control": both.control, "numbering": both.numbering,
+        "function numbers": both.functions.numbering, "immersed": quadrature.points, "areas": quadrature.weights,
+        "rational": quadrature.rational, "closest": closest.xi, "distances": closest.distance,
+        "cells": location.cells, "barycentric": location.barycentric, "active": location.active,
+    }  # fmt: skip
+    for name, array in arrays.items():
+        assert not array.flags.writeable, name
+    with pytest.raises(ValueError, match="read-only"):
+        line.points[0] = 0.0
+    assert spline.node_positions.flags.writeable

@@ -89,6 +89,7 @@ class BSplineBasis:
     def __post_init__(self) -> None:
         p = checks.whole("degree", self.degree, 1)
         knots = checks.array("knots", self.knots, (None,)).copy()
+        checks.flag("periodic", self.periodic)
         if len(knots) < 2 or (not self.periodic and len(knots) < 2 * (p + 1)):
             raise ValueError(f"knots has {len(knots)} entries: degree {p} requires at least {2 * (p + 1)}")
         steps = np.diff(knots)
@@ -307,3 +308,23 @@ class TensorBasis:
         matrix.data[np.abs(matrix.data) < DROPPED] = 0.0
         matrix.eliminate_zeros()
         return matrix
+
+
+def require_containing(name: str, old: BSplineBasis, new: BSplineBasis) -> None:
+    """Refuse a basis that does not contain another one.
+
+    Args:
+        name: what messages call it.
+        old: the one that is to be contained.
+        new: the basis.
+
+    Raises:
+        ValueError: it does not contain it.
+    """
+    drop, at = new.degree - old.degree, new.find(old.breakpoints)
+    same_range = at[0] == 0 and at[-1] == len(new.breakpoints) - 1 and old.periodic == new.periodic
+    repeats = (at >= 0) & (new.multiplicities[at] >= old.multiplicities + drop)
+    if not (same_range and drop >= 0 and repeats.all()):
+        raise ValueError(
+            f"{name} has degree {new.degree} on {new.knots}: degree {old.degree} on {old.knots} is not in it"
+        )

@@ -1,18 +1,22 @@
 """Checks of user input: each returns the checked value or raises an exception that says what is allowed."""
 
 import math
-import numbers
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
+import ufl
 from numpy.typing import ArrayLike, NDArray
+
+from tigar_x.compat import FloatArray, IntArray
 
 
 def finite(name: str, value: Any) -> float:
-    """A finite number, else ValueError."""
+    """A finite number, else ValueError; texts that look like one, truth values and arrays of one number are none."""
     try:
-        number = float(value)
+        no_number = isinstance(value, str | bytes | bool | np.bool_) or getattr(value, "ndim", 0) > 0
+        number = math.nan if no_number else float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
@@ -44,16 +48,6 @@ def within(name: str, value: Any, low: float, high: float) -> float:
     return number
 
 
-def entries(name: str, value: Any) -> None:
-    """Check that numbers and Constants in a sequence, or a vector Constant, are finite; None and UFL pass unchecked."""
-    numbers_in = getattr(value, "value", None)
-    if isinstance(numbers_in, np.ndarray):
-        array(name, numbers_in, (None,) * numbers_in.ndim)
-    elif isinstance(value, Sequence | np.ndarray):
-        for i, entry in enumerate(value.tolist() if isinstance(value, np.ndarray) else value):
-            parameter(f"{name}[{i}]", entry, finite)
-
-
 def poisson(name: str, value: Any) -> float:
     """Poisson's ratio in (-1, 0.5], else ValueError."""
     number = finite(name, value)
@@ -63,12 +57,89 @@ def poisson(name: str, value: Any) -> float:
 
 
 def parameter(name: str, value: Any, check: Callable[[str, Any], float]) -> None:
-    """Check a parameter that is a number or a dolfinx Constant; a UFL expression passes unchecked."""
-    number = getattr(value, "value", value)
-    if isinstance(number, numbers.Real):
-        check(name, number)
-    elif isinstance(number, np.ndarray) and number.ndim == 0:
-        check(name, number.item())
+    """Check a parameter that is a number or a scalar dolfinx Constant; a UFL scalar passes unchecked.
+
+    Args:
+        name: what messages call it.
+        value: the parameter.
+        check: of numbers.
+
+    Raises:
+        ValueError: it is nothing of that, or a number that the check refuses.
+    """
+    if not isinstance(value, ufl.core.expr.Expr):
+        check(name, value)
+        return
+    _scalar(name, value)
+    known = _number(value)
+    if known is not None:
+        check(name, known)
+
+
+def vector(name: str, value: Any, *sizes: int) -> Any:
+    """UFL vector of a sequence of numbers, Constants and UFL scalars, or of a vector that is UFL or a Constant.
+
+    Args:
+        name: what messages call it.
+        value: the vector.
+        sizes: numbers of entries that it may have; none: any.
+
+    Returns:
+        The vector.
+
+    Raises:
+        ValueError: it is nothing of that, has another shape, or an entry is not finite.
+    """
+    wanted = " or ".join(f"({size},)" for size in sizes) or "(any,)"
+    entries: list[Any] = []
+    if isinstance(value, ufl.core.expr.Expr):
+        shape, result = value.ufl_shape, value
+    elif isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes):
+        shape, result = np.shape(value) if isinstance(value, np.ndarray) else (len(value),), None
+        entries = value.tolist() if isinstance(value, np.ndarray) else list(value)
+    else:
+        raise ValueError(f"{name} = {value!r}: a vector of shape {wanted} is required")
+    if len(shape) != 1 or (sizes and shape[0] not in sizes):
+        raise ValueError(f"{name} has shape {shape}: shape {wanted} is required")
+    for i, entry in enumerate(entries):
+        parameter(f"{name}[{i}]", entry, finite)
+    known = getattr(result, "value", None)
+    if isinstance(known, np.ndarray):
+        array(name, known, (None,))
+    return ufl.as_vector(entries) if result is None else result
+
+
+def measure(name: str, value: Any, domain: Any, *kinds: str) -> None:
+    """Check a UFL measure of a mesh; one without a mesh takes that of its integrand, and passes.
+
+    Args:
+        name: what messages call it.
+        value: the measure.
+        domain: the mesh; None: any.
+        kinds: integral types, "cell" or "exterior_facet".
+
+    Raises:
+        ValueError: it is no measure, or of another kind or mesh.
+    """
+    if not isinstance(value, ufl.Measure):
+        raise ValueError(f"{name} = {value!r}: a UFL measure is required")
+    if value.integral_type() not in kinds:
+        raise ValueError(f"{name} integrates over {value.integral_type()}: {' or '.join(kinds)} is required")
+    if domain is not None and value.ufl_domain() not in (None, ufl.dx(domain=domain).ufl_domain()):
+        raise ValueError(f"{name} is a measure of another mesh: one of this mesh is required")
+
+
+def _number(value: Any) -> float | None:
+    """What a Constant or a number of UFL's is; None: another expression."""
+    if isinstance(value, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
+        return float(value)
+    number = getattr(value, "value", None)
+    return float(number) if isinstance(number, np.ndarray) and number.ndim == 0 else None
+
+
+def _scalar(name: str, value: Any) -> None:
+    if value.ufl_shape or value.ufl_free_indices:
+        raise ValueError(f"{name} has shape {value.ufl_shape}: a scalar is required")
 
 
 def whole(name: str, value: Any, low: int) -> int:
@@ -82,7 +153,7 @@ def whole(name: str, value: Any, low: int) -> int:
     return int(value)
 
 
-def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+def array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
     """A finite float array of the given shape (None: any length), else ValueError."""
     try:
         result = np.asarray(value, dtype=np.float64)
@@ -117,8 +188,71 @@ def label(name: str, value: str, without: str = "") -> str:
     return value
 
 
+def freeze(data: Any) -> None:
+    """Make the arrays of a frozen dataclass read-only views, so that a write is an error and not without effect."""
+    for item in fields(data):
+        value = getattr(data, item.name)
+        if isinstance(value, np.ndarray):
+            object.__setattr__(data, item.name, read_only(value))
+
+
+def read_only(value: NDArray[Any]) -> NDArray[Any]:
+    """View of an array that cannot be written to."""
+    view = value.view()
+    view.flags.writeable = False
+    return view
+
+
+def kind(name: str, value: Any, kinds: Any, wanted: str) -> Any:
+    """A value of some class, else ValueError.
+
+    Args:
+        name: what messages call it.
+        value: the value.
+        kinds: class, or several.
+        wanted: what messages say is required.
+    """
+    if not isinstance(value, kinds):
+        raise ValueError(f"{name} = {value!r}: {wanted} is required")
+    return value
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False, else ValueError."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} = {value!r}: True or False is required")
+    return bool(value)
+
+
+def indices(name: str, value: ArrayLike, count: int) -> IntArray:
+    """Numbers from 0 to ``count - 1``, else ValueError; masks and numbers with a fraction are none.
+
+    Args:
+        name: what messages call them.
+        value: the numbers, of any shape.
+        count: how many there are to choose from.
+
+    Returns:
+        The numbers in the same shape.
+
+    Raises:
+        ValueError: they are none, or out of range.
+    """
+    numbers_in = np.asarray(value)
+    if numbers_in.dtype == bool:
+        raise ValueError(f"{name} is a mask of shape {numbers_in.shape}: numbers are required, such as flatnonzero's")
+    if numbers_in.dtype.kind not in "iuf":
+        raise ValueError(f"{name} = {value!r}: integers from 0 to {count - 1} are required")
+    wrong = ~((numbers_in >= 0) & (numbers_in < count) & (numbers_in == np.floor(numbers_in)))
+    if wrong.any():
+        found = numbers_in[wrong].flat[0]
+        raise ValueError(f"{name} contains {found}: integers from 0 to {count - 1} are required")
+    return numbers_in.astype(np.int32)
+
+
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     """One of the allowed values, else ValueError."""
-    if value not in allowed:
+    truth = isinstance(value, bool | np.bool_) and not any(isinstance(known, bool) for known in allowed)
+    if truth or isinstance(value, np.ndarray) or value not in allowed:
         raise ValueError(f"{name} = {value!r}: one of {', '.join(map(repr, allowed)) or 'nothing'} is required")
     return value

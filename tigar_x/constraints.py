@@ -34,8 +34,13 @@ def tied(dofs: ArrayLike, to: ArrayLike, n: int, factor: ArrayLike = 1.0) -> sp.
 
     Returns:
         G, shape (k, n).
+
+    Raises:
+        ValueError: numbers that are out of range or not as many as their partners, or masks instead of numbers.
     """
-    a, b = np.asarray(dofs), np.asarray(to)
+    a, b = checks.indices("dofs", dofs, n).ravel(), checks.indices("to", to, n).ravel()
+    if len(a) != len(b):
+        raise ValueError(f"to has {len(b)} entries: {len(a)} are required, one for each of dofs")
     entries = np.concatenate([np.ones(len(a)), -np.broadcast_to(factor, a.shape)])
     return sp.csr_matrix((entries, (np.tile(np.arange(len(a)), 2), np.concatenate([a, b]))), shape=(len(a), n))
 
@@ -140,18 +145,44 @@ def _unturned(geometry: MultiPatch, place: tuple[int, int, int]) -> sp.csr_matri
 def _edge_normals(patch: Patch, direction: int, end: int) -> FloatArray:
     """Unit normals at the Greville points of a side, shape (functions, nsd)."""
     xi = patch.basis.greville[_local_rows(patch, direction, end)[0]]
-    x, tangents = patch.evaluate(xi), []
+    normals, sizes = _area_vectors(patch, xi)
+    for i in np.flatnonzero(np.linalg.norm(normals, axis=1) <= STRAIGHT * sizes):
+        normals[i] = _limit_of_normals(patch, xi[i], direction)
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def _area_vectors(patch: Patch, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normals times w^4 (in the plane: w^2), which are polynomials, and the size that they have where none is lost."""
+    homogeneous, tangents = patch.basis.evaluate(xi) @ patch.control, []
+    P, w = homogeneous[:, :-1], homogeneous[:, -1:]
     for d in range(patch.dim):
         slope = patch.basis.evaluate(xi, d) @ patch.control
-        tangents.append(slope[:, :-1] - x * slope[:, -1:])
+        tangents.append(w * slope[:, :-1] - P * slope[:, -1:])
     normals = tangents[0][:, ::-1] * (1, -1) if patch.dim == 1 else np.cross(*tangents)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    sizes = np.prod([np.linalg.norm(tangent, axis=1, keepdims=True) for tangent in tangents], axis=0)
-    if (lengths <= STRAIGHT * sizes).any():
-        raise ValueError(
-            f"side {'uvw'[direction]}{end} has a point without a normal: no edge that collapses is allowed"
-        )
-    return np.asarray(normals / lengths)
+    return normals, np.prod([np.linalg.norm(tangent, axis=1) for tangent in tangents], axis=0)
+
+
+def _limit_of_normals(patch: Patch, xi: FloatArray, direction: int) -> FloatArray:
+    """Normal, of any length, that those of a side tend to at a point without one, as where two sides have one tangent.
+
+    There the polynomial of :func:`_area_vectors` vanishes, and its derivative along the side points along the limit.
+    """
+    side = f"side {'uvw'[direction]}{int(xi[direction] == patch.basis.box[1, direction])}"
+    if patch.dim == 2:
+        along = 1 - direction
+        ticks = patch.bases[along].breakpoints
+        e = int(np.clip(np.searchsorted(ticks, xi[along], side="right"), 1, len(ticks) - 1))
+        degree = 4 * patch.bases[along].degree
+        to_element = np.polynomial.chebyshev.chebpts1(degree + 1)
+        samples = np.tile(xi, (degree + 1, 1))
+        samples[:, along] = ticks[e - 1] + (ticks[e] - ticks[e - 1]) * (1.0 + to_element) / 2.0
+        values, sizes = _area_vectors(patch, samples)
+        slopes = np.polynomial.chebyshev.chebder(np.polynomial.chebyshev.chebfit(to_element, values, degree))
+        at = 2.0 * (xi[along] - ticks[e - 1]) / (ticks[e] - ticks[e - 1]) - 1.0
+        limit = np.polynomial.chebyshev.chebval(at, slopes)
+        if np.linalg.norm(limit) > STRAIGHT * sizes.max():
+            return np.asarray(limit)
+    raise ValueError(f"{side} has a point without a normal: no edge that collapses is allowed")
 
 
 def smooth_joints(geometry: MultiPatch, size: int | None = None, *, tolerance: float = 1e-6) -> sp.csr_matrix:

@@ -47,6 +47,9 @@ class Eigenpairs:
     residuals: FloatArray
     functions: tuple[fem.Function, ...] = ()
 
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
 
 def eigenpairs(K: PETSc.Mat, M: PETSc.Mat, count: int, *, shift: float = 0.0, backend: str | None = None) -> Eigenpairs:
     """The eigenpairs nearest to a shift; with a shift below the spectrum, the smallest.
@@ -112,7 +115,8 @@ def eigenmodes(
         ValueError: an argument is out of range.
         SolveError: see :func:`eigenpairs`.
     """
-    zero = np.asarray(space.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
+    given = space.zero_dofs if zero_dofs is None else zero_dofs
+    zero = checks.indices("zero_dofs", given, space.M.size[1]).ravel()
     first, last = space.M.getOwnershipRangeColumn()
     free = np.setdiff1d(np.arange(first, last, dtype=PETSc.IntType), zero)
     K, M = (extracted_matrix(space, form, free) for form in compat.compile_forms(stiffness, mass))

@@ -68,6 +68,7 @@ class SplineFunctions:
         raw = int(self.offsets[-1])
         if self.factors is not None:
             object.__setattr__(self, "factors", checks.array("factors", self.factors, (raw,)))
+            checks.freeze(self)
         if self.numbering is None:
             return
         numbering = np.asarray(self.numbering)
@@ -75,6 +76,7 @@ class SplineFunctions:
         object.__setattr__(self, "numbering", numbering)
         if numbering.shape != (raw,) or not np.array_equal(used, np.arange(len(used))):
             raise ValueError(f"numbering has shape {numbering.shape}: {raw} numbers from 0 without gaps required")
+        checks.freeze(self)
 
     @property
     def dim(self) -> int:

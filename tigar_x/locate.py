@@ -43,6 +43,9 @@ class ClosestPoints:
     xi: FloatArray
     distance: FloatArray
 
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
 
 @dataclass(frozen=True)
 class _Samples:

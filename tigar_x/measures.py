@@ -1,6 +1,7 @@
 """Measures of a spline's physical reference configuration."""
 
-from typing import Any
+from copy import copy
+from typing import Any, Self
 
 import ufl
 
@@ -23,7 +24,7 @@ class SplineMeasure:
         """Form of ``integrand``."""
         return integrand * self.jacobian * self.measure
 
-    def of_degree(self, quadrature_degree: int) -> "SplineMeasure":
+    def of_degree(self, quadrature_degree: int) -> Self:
         """The same measure with another quadrature degree.
 
         Args:
@@ -33,7 +34,9 @@ class SplineMeasure:
             ValueError: another number.
         """
         degree = checks.whole("quadrature_degree", quadrature_degree, 0)
-        return SplineMeasure(self.jacobian, self.measure(metadata={"quadrature_degree": degree}))
+        other = copy(self)
+        other.measure = self.measure(metadata={"quadrature_degree": degree})
+        return other
 
 
 class SideMeasure(SplineMeasure):
@@ -46,3 +49,19 @@ class SideMeasure(SplineMeasure):
     def __init__(self, jacobian: Any, measure: ufl.Measure, normal: Any) -> None:
         super().__init__(jacobian, measure)
         self.normal = normal
+
+
+def require_sides(name: str, value: Any, domain: Any) -> None:
+    """Refuse what is not a measure of a spline's sides, such as one of UFL's, which knows parameters only.
+
+    Args:
+        name: what messages call it.
+        value: from :meth:`tigar_x.spline.ExtractedSpline.ds`.
+        domain: the spline's parametric mesh.
+
+    Raises:
+        ValueError: it is another measure, or none.
+    """
+    if not isinstance(value, SideMeasure):
+        raise ValueError(f"{name} = {value!r}: a measure of the spline's sides is required, such as spline.ds('u1')")
+    checks.measure(name, value.measure, domain, "exterior_facet")

@@ -49,6 +49,7 @@ class MultiPatch(ControlNet):
             if len(found) > 1:
                 raise ValueError(f"patches have {name} = {found}: one and the same is required")
         self._check_control()
+        checks.freeze(self)
 
     @cached_property
     def functions(self) -> SplineFunctions:  # type: ignore[override]
@@ -63,7 +64,7 @@ class MultiPatch(ControlNet):
     @cached_property
     def control(self) -> FloatArray:  # type: ignore[override]
         """Homogeneous control points, one per function, shape (n, nsd + 1); unit: length."""
-        return np.concatenate([patch.control for patch in self.patches])[self.functions.first]
+        return checks.read_only(np.concatenate([patch.control for patch in self.patches])[self.functions.first])
 
     @cached_property
     def size(self) -> float:
@@ -183,6 +184,7 @@ def glued(*patches: Patch, tolerance: float = TOLERANCE, within: bool = False) -
             other control points, ratios of weights, degrees or knots, or one longer than the other.
     """
     checks.positive("tolerance", tolerance)
+    checks.flag("within", within)
     apart = MultiPatch(patches)
     groups: dict[bytes, list[tuple[int, IntArray]]] = {}
     labels = _coincidence(apart, tolerance)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tigar_x import checks
-from tigar_x.bspline import BSplineBasis, TensorBasis
+from tigar_x.bspline import BSplineBasis, TensorBasis, require_containing
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.functions import SplineFunctions
 
@@ -64,7 +64,7 @@ class ControlNet(ABC):
     @property
     def points(self) -> FloatArray:
         """Physical control points, shape (n, nsd)."""
-        return self.control[:, :-1] / self.weights[:, None]
+        return checks.read_only(self.control[:, :-1] / self.weights[:, None])
 
     @property
     def rational(self) -> bool:
@@ -133,11 +133,11 @@ class ControlNet(ABC):
             Numbers function * nsd + component, sorted.
 
         Raises:
-            ValueError: no such component.
+            ValueError: no such function or component, or a mask instead of numbers.
         """
         chosen = range(self.nsd) if components is None else components
         parts = [checks.choice("components", c, tuple(range(self.nsd))) for c in chosen]
-        rows = np.asarray(functions, dtype=np.int32)
+        rows = checks.indices("functions", functions, self.n).ravel()
         return np.unique(rows[:, None] * self.nsd + np.array(parts, dtype=np.int32)[None, :]).astype(np.int32)
 
 
@@ -205,8 +205,16 @@ class Patch(ControlNet):
             The patch, periodic where the object is.
 
         Raises:
-            ValueError: a periodic object whose start does not have the continuity that splipy says.
+            ValueError: another object, a trimmed surface, whose boundary curves a patch does not have, or a periodic
+                object whose start does not have the continuity that splipy says.
         """
+        from splipy import SplineObject, TrimmedSurface
+
+        if isinstance(shape, TrimmedSurface) or not isinstance(shape, SplineObject):
+            raise ValueError(
+                f"shape = {type(shape).__name__}: a splipy Curve, Surface or Volume is required; a trimmed surface has"
+                " to be cut into patches first"
+            )
         bases, net = [], np.asarray(shape.controlpoints)
         for direction, basis in enumerate(shape.bases):
             wrapped = basis.periodic + 1
@@ -354,7 +362,7 @@ class Patch(ControlNet):
         if len(bases) != self.dim:
             raise ValueError(f"bases has {len(bases)} directions: {self.dim} are required")
         for direction, (old, new) in enumerate(zip(self.bases, bases, strict=True)):
-            _require_containing(f"bases[{direction}]", old, new)
+            require_containing(f"bases[{direction}]", old, new)
         richer = TensorBasis(tuple(bases))
         control = richer.interpolate(self.basis.evaluate(richer.greville) @ self.control)
         if not self.rational:
@@ -440,17 +448,6 @@ class Patch(ControlNet):
         names = {name: (place[d], end) for name, (d, end) in self.side_names.items()}
         order = np.transpose(self._grid, place).ravel(order="F")
         return replace(self, bases=tuple(self.bases[d] for d in place), control=self.control[order], side_names=names)
-
-
-def _require_containing(name: str, old: BSplineBasis, new: BSplineBasis) -> None:
-    """Refuse a basis that does not contain another one."""
-    drop, at = new.degree - old.degree, new.find(old.breakpoints)
-    same_range = at[0] == 0 and at[-1] == len(new.breakpoints) - 1 and old.periodic == new.periodic
-    repeats = (at >= 0) & (new.multiplicities[at] >= old.multiplicities + drop)
-    if not (same_range and drop >= 0 and repeats.all()):
-        raise ValueError(
-            f"{name} has degree {new.degree} on {new.knots}: degree {old.degree} on {old.knots} is not in it"
-        )
 
 
 def _cuts(basis: BSplineBasis, parts: int) -> FloatArray:

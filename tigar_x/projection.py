@@ -8,7 +8,7 @@ from dolfinx import fem
 from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.linear import PreparedSolver, direct
 from tigar_x.space import SplineSpace, extracted_matrix
@@ -32,10 +32,12 @@ def fit(space: SplineSpace, mass: ufl.Form, load: ufl.Form, dofs: ArrayLike | No
         The field.
 
     Raises:
+        ValueError: a number is out of range, or a mask is given.
         SolveError: the linear solver failed.
     """
     first, last = space.M.getOwnershipRangeColumn()
-    wanted = np.setdiff1d(np.arange(space.M.size[1]), space.zero_dofs) if dofs is None else np.ravel(dofs)
+    wanted = np.setdiff1d(np.arange(space.M.size[1]), space.zero_dofs) if dofs is None else dofs
+    wanted = checks.indices("dofs", wanted, space.M.size[1]).ravel()
     here = np.sort(wanted[(wanted >= first) & (wanted < last)])
     mass_form, load_form = compat.compile_forms(mass, load)
     b, right = compat.create_vector(space.V), space.M.createVecRight()

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.spline import ExtractedSpline
 
@@ -29,6 +29,9 @@ class NodalQuadrature:
     weights: FloatArray
     rational: FloatArray
     cells: IntArray | None = None
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
 
     @classmethod
     def of(cls, spline: ExtractedSpline) -> "NodalQuadrature":

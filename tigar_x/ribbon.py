@@ -97,6 +97,9 @@ class Crossings:
     under: FloatArray
     signs: FloatArray
 
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
     @classmethod
     def of(cls, polygon: ArrayLike) -> "Crossings":
         """Crossings of a closed polygon.

@@ -1,6 +1,7 @@
 """Rounding in Newton's method: how large it is in a residual, when nothing else is left, and what to say of it."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -15,6 +16,8 @@ LOWER = 0.5
 """Part of the lowest residual so far that counts as lower."""
 SMALL = 1e-5
 """Length of an increment by the longest one, below which the state no longer changes but by rounding."""
+NEAR = 1e8
+"""First residual by its rounding error up to which a start is a solution, as far as half of the digits can tell."""
 
 
 def of_tangent(A: PETSc.Mat, x: PETSc.Vec, resolution: FloatArray | None, constrained: IntArray) -> float:
@@ -68,3 +71,16 @@ def stagnation(norms: Sequence[float], lengths: Sequence[float], target: float) 
         f" {len(norms) - 1} iterations have not lowered it, and moved the state by {part:.0e} of the longest increment."
         " Rounding is most of that residual (raise rtol or atol), or the tangent is not its derivative"
     )
+
+
+def is_solved(system: Any, first: float, last: float) -> bool:
+    """Whether rounding leaves such a residual, and half of the digits of the first one or less (collective).
+
+    Args:
+        system: has ``rounding()``, or its rounding is not known and nothing is left to it.
+        first: residual at the start.
+        last: residual that steps no longer lower.
+    """
+    estimate = getattr(system, "rounding", None)
+    error = 0.0 if estimate is None else float(estimate())
+    return last <= error and first <= NEAR * error

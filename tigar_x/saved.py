@@ -50,6 +50,9 @@ class SavedFunctions:
     values: sp.csr_matrix
     boxes: FloatArray
 
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
     @property
     def n(self) -> int:
         """Number of functions."""

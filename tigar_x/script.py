@@ -166,10 +166,10 @@ class Termination:
 
 
 class Progress:
-    """Steps with a bar in a terminal and plain log lines elsewhere, on rank 0.
+    """Steps with a bar in a terminal and plain log lines elsewhere, on rank 0; iterating gives numbers from 1.
 
     Args:
-        n_steps: number of steps.
+        n_steps: number of steps, which are 1 to ``n_steps``.
         lines: number of log lines in the whole run where there is no terminal.
         done: number of steps that an earlier run has done.
     """

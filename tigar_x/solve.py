@@ -69,6 +69,9 @@ class FiniteElementSystem:
         recipe: linear solver recipe.
         iterations: linear iterations of the last solve.
         has_tangent: whether a tangent has been assembled.
+
+    Raises:
+        ValueError: an argument is of another kind, as where they come in another order.
     """
 
     def __init__(
@@ -84,6 +87,8 @@ class FiniteElementSystem:
         before: Sequence[Callable[[], None]] = (),
         resolution: Callable[[], FloatArray] | None = None,
     ) -> None:
+        checks.kind("residual", residual, ufl.Form, "a form, and then the unknown")
+        checks.kind("x", x, fem.Function, "the unknown function, after the residual")
         compat.free_dropped(x.function_space.mesh.comm)
         self.x = x
         self.bcs = tuple(bcs)
@@ -243,7 +248,8 @@ def newton(
         max_iterations: solves after which the iteration has failed.
         reference: norm that ``rtol`` refers to, or a function that gives it, which is asked once the first residual is
             assembled; None: the initial residual. A start that is nearly a solution needs one, or ``atol``: rounding
-            keeps the residual from falling far below its initial value.
+            keeps the residual from falling far below its initial value. A start so near that rounding leaves half of
+            the digits or less is accepted at the system's ``rounding()``, if it has one, where no step improves it.
         line_search: shortens steps that make things worse; None: full steps. It widens what converges, but slows what
             converges over a passing rise of the residual: thin shells. (An elastica with P L^2/(E I) = 4 and
             thickness L/100 takes 43 steps instead of 16.)
@@ -304,7 +310,7 @@ def newton(
         try:
             step, new = _move(system, increment, norm, line_search)
         except SolveError:
-            if not kept and norm > stalled * target:
+            if not (kept or norm <= stalled * target or rounding.is_solved(system, norms[0], norm)):
                 raise
             steps.append(0.0)
             norms.append(norm)
@@ -317,6 +323,7 @@ def newton(
             increment.scale(-step)
             system.subtract(increment)
             step, new = 0.0, system.assemble_residual()
+        solved = not kept and new > rounding.LOWER * norm and rounding.is_solved(system, norms[0], new)
         kept = keep is not None and new < keep * norm
         lengths.append(step * length)
         steps.append(step)
@@ -324,6 +331,9 @@ def newton(
         norm = new
         if callable(atol) and norm > target:
             target = accepted()
+        if solved:
+            log.info("Newton starts at a solution up to rounding: a residual of %.2e", norm)
+            break
     if not math.isfinite(norm):
         raise SolveError(f"Newton iteration {len(steps)}: the residual is not finite")
     return NewtonReport(tuple(norms), tuple(linear), tuple(steps), tangents)

@@ -81,7 +81,7 @@ class SplineSpace:
         constraints: all rows of G, shape (constraints, n).
 
     Raises:
-        ValueError: no part, a zero dof out of range, or constraints of another size.
+        ValueError: no part, a zero dof out of range, a mask of them, or constraints of another size.
     """
 
     def __init__(
@@ -104,10 +104,8 @@ class SplineSpace:
             self.V = compat.mixed_space(domain, *shapes)
         self.sizes = tuple(functions.n * size for functions, size in self.parts)
         self.n = sum(self.sizes)
-        fixed: IntArray = np.unique(np.asarray(zero_dofs, dtype=np.int32))
+        fixed: IntArray = np.unique(checks.indices("zero_dofs", zero_dofs, self.n))
         self.fixed = fixed
-        if len(fixed) and not 0 <= fixed[0] <= fixed[-1] < self.n:
-            raise ValueError(f"zero_dofs ranges over [{fixed[0]}, {fixed[-1]}]: 0 to {self.n - 1} allowed")
         self._T = null_space(constraints, fixed, self.n) if len(constraints) else None
         self.constraints = sp.vstack([sp.csr_matrix((0, self.n)), *constraints], format="csr")
         self.zero_dofs = fixed if self._T is None else fixed[:0]

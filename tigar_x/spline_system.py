@@ -8,7 +8,7 @@ from dolfinx import fem
 from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
-from tigar_x import compat
+from tigar_x import checks, compat, rounding
 from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
 from tigar_x.space import Extracted
@@ -28,6 +28,9 @@ class SplineSystem:
     Attributes:
         b: extracted residual.
         iterations: linear iterations of the last solve.
+
+    Raises:
+        ValueError: a zero dof is out of range, a mask is given, or arguments come in another order.
     """
 
     def __init__(
@@ -40,6 +43,8 @@ class SplineSystem:
         unknown: fem.Function | None = None,
         zero_dofs: ArrayLike | None = None,
     ) -> None:
+        checks.kind("residual", residual, ufl.Form, "a form, after the space")
+        checks.kind("tangent", tangent, ufl.Form, "a form, after the space and the residual")
         compat.free_dropped(space.V.mesh.comm)
         self.space = space
         self.unknown = unknown
@@ -52,7 +57,8 @@ class SplineSystem:
         self._dx = self.b.duplicate()
         self._product = self.b.duplicate()  # work space: making vectors again and again would leak in petsc4py
         first, last = self.b.getOwnershipRange()
-        fixed = np.asarray(space.zero_dofs if zero_dofs is None else zero_dofs, dtype=PETSc.IntType)
+        given = space.zero_dofs if zero_dofs is None else zero_dofs
+        fixed = checks.indices("zero_dofs", given, space.M.size[1]).ravel().astype(PETSc.IntType)
         self._zero = fixed[(fixed >= first) & (fixed < last)]
         self._zero_local = self._zero - first
         self._A: PETSc.Mat | None = None
@@ -125,6 +131,20 @@ class SplineSystem:
         self.space.M.multTranspose(self._diagonal, self._product)
         self._product.array_w[self._zero_local] = 0.0
         return float(self._product.norm())
+
+    def rounding(self) -> float:
+        """Size of the rounding error in the residual, from the last tangent (collective); unit of the residual.
+
+        What the tangent makes of positions and unknown with signs at random, as their rounding errors have them.
+        """
+        if self.unknown is None:
+            return 0.0
+        sizes = np.abs(self.unknown.x.array)
+        positions = getattr(self.space, "node_positions", None)
+        if positions is not None:
+            sizes = sizes + np.abs(positions - positions[:1]).ravel()
+        signs = np.random.default_rng(self.space.V.mesh.comm.rank).choice([-1.0, 1.0], len(sizes))
+        return rounding.ROUNDING * self.product_norm(signs * sizes)
 
     def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: sp.spmatrix | None = None) -> None:
         """Assemble, extract and constrain the tangent; the symbolic product of the form's part is made once.

@@ -37,7 +37,8 @@ def disc(
     Args:
         radius: unit: length.
         kind: "square" has four arcs of the rim as its sides, no pole, and four points of the rim where the
-            parametrisation is singular because two sides meet in one tangent; "polar" has u along the radius and
+            parametrisation is singular because two sides meet in one tangent (:func:`tigar_x.constraints.no_rotation`
+            takes the limit of normals there); "polar" has u along the radius and
             v around, with a pole in the centre.
         center: shape (nsd,), nsd = 2 or 3; unit: length.
         elements: number of equal parts of both directions.
@@ -280,7 +281,7 @@ def _revolved(basis: BSplineBasis, profile: ArrayLike, angle: float, degrees: Se
         The surface, u along the profile and v around.
     """
     one_per_direction(2, degrees=degrees)
-    around, circle = _arc(angle, degrees[1])
+    around, circle = _arc(angle, checks.whole("degrees", degrees[1], 2))
     (r, z, w), (c, s, h) = np.transpose(profile), circle.T
     columns = [np.outer(a, b).ravel(order="F") for a, b in ((r, c), (r, s), (z, h), (w, h))]
     return Patch((basis, around), np.column_stack(columns))

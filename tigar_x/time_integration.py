@@ -65,6 +65,7 @@ def generalized_alpha(rho_infinity: float, order: int = 1, *, first_order_alpha_
     """
     rho = checks.within("rho_infinity", rho_infinity, 0.0, 1.0)
     checks.choice("order", order, (1, 2))
+    checks.flag("first_order_alpha_m", first_order_alpha_m)
     alpha_f = 1.0 / (1.0 + rho)
     alpha_m = 0.5 * (3.0 - rho) / (1.0 + rho)
     if order == 2 and not first_order_alpha_m:
@@ -136,6 +137,7 @@ class TimeIntegrator:
         dt: Constant, step size.
         in_step: whether a step has been predicted and not been accepted or given up; what belongs to the level of the
             equations has a meaning only then.
+        algebraic: as given.
 
     Raises:
         ValueError: dt is not positive, or a component does not exist.
@@ -162,11 +164,10 @@ class TimeIntegrator:
             self.xdot_old.x.array[:] = xdot.x.array
         if scheme.order == 2:
             self.xddot_old = fem.Function(V, name=f"{x.name}_ddot_old")
-            if xddot is not None:
-                self.xddot_old.x.array[:] = xddot.x.array
+            self.xddot_old.x.array[:] = 0.0 if xddot is None else xddot.x.array
         for component in algebraic:
             checks.choice("algebraic", component, tuple(range(x.ufl_shape[0])) if x.ufl_shape else ())
-        self._algebraic = frozenset(algebraic)
+        self.algebraic = frozenset(algebraic)
         self.in_step = False
 
         names = ("alpha_f", "alpha_m", "a0", "a1", "a2", "b0", "b1")
@@ -210,9 +211,9 @@ class TimeIntegrator:
     def x_alpha(self) -> Any:
         """Unknown at the intermediate level; algebraic components are those of x itself."""
         mean = self.at_level(self.x)
-        if not self._algebraic:
+        if not self.algebraic:
             return mean
-        return ufl.as_vector([self.x[i] if i in self._algebraic else mean[i] for i in range(self.x.ufl_shape[0])])
+        return ufl.as_vector([self.x[i] if i in self.algebraic else mean[i] for i in range(self.x.ufl_shape[0])])
 
     @property
     def xdot_alpha(self) -> Any:
@@ -361,9 +362,9 @@ class TimeIntegrator:
         V = self.x.function_space
         unknown = fem.Function(V, name="initial")
         state: Any = self.x_old
-        if self._algebraic:
+        if self.algebraic:
             size = self.x.ufl_shape[0]
-            state = ufl.as_vector([(unknown if i in self._algebraic else self.x_old)[i] for i in range(size)])
+            state = ufl.as_vector([(unknown if i in self.algebraic else self.x_old)[i] for i in range(size)])
         highest = self.xdot_old if self.scheme.order == 1 else self.xddot_old
         zero = ufl.as_ufl(0.0)
         at_t_n: dict[Any, Any] = {self.x: state, highest: unknown, self.t_alpha: self.t - self.dt}
@@ -375,7 +376,7 @@ class TimeIntegrator:
         """Take the solution of :meth:`initial_form` as the initial rate and algebraic components."""
         highest = self.xdot_old if self.scheme.order == 1 else self.xddot_old
         highest.x.array[:] = unknown.x.array
-        for component in self._algebraic:
+        for component in self.algebraic:
             _, dofs = compat.component_space(self.x.function_space, component)
             for f in (self.x, self.x_old):
                 f.x.array[dofs] = unknown.x.array[dofs]

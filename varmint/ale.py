@@ -37,9 +37,7 @@ class Motion:
     def __post_init__(self) -> None:
         d = self.domain.geometry.dim
         for name in ("displacement", "velocity"):
-            shape = getattr(self, name).ufl_shape
-            if shape != (d,):
-                raise ValueError(f"{name} has shape {shape}: a mesh of dimension {d} requires ({d},)")
+            object.__setattr__(self, name, checks.vector(name, getattr(self, name), d))
         checks.whole("degree", self.degree, 1)
 
     @property

@@ -62,12 +62,14 @@ def weak_dirichlet(
         Residual form.
 
     Raises:
-        ValueError: rho, mu or penalty out of range, or g of a wrong shape.
+        ValueError: rho, mu or penalty no scalar or out of range, g of a wrong shape, or a measure that is not one of
+            the mesh's boundary.
     """
     checks.parameter("rho", rho, checks.positive)
     checks.parameter("mu", mu, checks.not_negative)
-    if g.ufl_shape != v.ufl_shape:
-        raise ValueError(f"g has shape {g.ufl_shape}: shape {v.ufl_shape} is required")
+    checks.measure("ds", ds, domain, "exterior_facet")
+    checks.flag("symmetric", symmetric)
+    g = checks.vector("g", g, *v.ufl_shape)
     n = normal(domain, motion)
     sign = 1 if symmetric else -1
     jump = v - g
@@ -113,8 +115,9 @@ def weak_slip(
         Residual form.
 
     Raises:
-        ValueError: rho, mu or penalty out of range.
+        ValueError: rho, mu or penalty no scalar or out of range, or a measure that is not one of the mesh's boundary.
     """
+    checks.measure("ds", ds, domain, "exterior_facet")
     checks.parameter("rho", rho, checks.positive)
     checks.parameter("mu", mu, checks.not_negative)
     checks.parameter("penalty", penalty, checks.not_negative)
@@ -155,13 +158,16 @@ def stable_neumann(
         Residual form.
 
     Raises:
-        ValueError: rho or gamma out of range, traction or g of a wrong shape.
+        ValueError: rho or gamma no scalar or out of range, traction or g of a wrong shape, or a measure that is not one
+            of the mesh's boundary.
     """
+    checks.measure("ds", ds, domain, "exterior_facet")
     checks.parameter("rho", rho, checks.positive)
     checks.parameter("gamma", gamma, checks.not_negative)
-    for name, field in (("traction", traction), ("g", g)):
-        if field is not None and field.ufl_shape != v.ufl_shape:
-            raise ValueError(f"{name} has shape {field.ufl_shape}: shape {v.ufl_shape} is required")
+    traction, g = (
+        None if field is None else checks.vector(name, field, *v.ufl_shape)
+        for name, field in (("traction", traction), ("g", g))
+    )
     n = normal(domain, motion)
     R = -gamma * rho * _inflow(advection(v, motion), n) * ufl.inner(v if g is None else v - g, w)
     if traction is not None:

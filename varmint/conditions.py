@@ -74,7 +74,8 @@ class Fields:
             ValueError: it is not a finite vector of shape (d,).
         """
         domain, motion = self.mesh.domain, self.motion_end if end else self.motion
-        return vector(name, given(name, data, ale.position(domain, motion), self.t if end else self.t_alpha), self.d)
+        values = given(name, data, ale.position(domain, motion), self.t if end else self.t_alpha)
+        return checks.vector(name, values, self.d)
 
     def mesh_velocity(self, *, end: bool = False) -> Any:
         """Velocity of the mesh; zero where it is fixed."""
@@ -96,26 +97,6 @@ def given(name: str, data: Any, x: Any, t: Any) -> Any:
         t: time.
     """
     return compat.ask(name, data, x, t) if callable(data) and not isinstance(data, ufl.core.expr.Expr) else data
-
-
-def vector(name: str, value: Any, d: int) -> Any:
-    """UFL vector of numbers or UFL.
-
-    Args:
-        name: what messages call it.
-        value: sequence of numbers and UFL scalars, or UFL.
-        d: its length.
-
-    Raises:
-        ValueError: it is not a finite vector of shape (d,).
-    """
-    checks.entries(name, value)
-    if isinstance(value, Sequence | np.ndarray):
-        value = ufl.as_vector(list(value))
-    shape = getattr(value, "ufl_shape", None)
-    if shape != (d,):
-        raise ValueError(f"{name} has shape {shape}: shape ({d},) is required")
-    return value
 
 
 def _groups(on: str | Sequence[str]) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from tigar_x.linear import LinearSolver, SolveError, automatic
 from tigar_x.solve import FiniteElementSystem, NewtonReport, newton
 from tigar_x.time_integration import Scheme, generalized_alpha
 from varmint.attachments import FlowTime, Needs, OutletPressure, SolidInFlow, pressure_pin
-from varmint.conditions import Condition, Data, Fields, Resistance, given, vector
+from varmint.conditions import Condition, Data, Fields, Resistance, given
 from varmint.flow_checks import check_clock, check_cover, check_numbers
 from varmint.flow_options import (
     STALLED,
@@ -279,7 +279,7 @@ class Flow:
             x = x + self.moving.time.x_old
         t = fem.Constant(domain, 0.0 if self.time is None else self.time.time)
         u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
-        components = [0.0] * d if u is None else list(vector("velocity", u, d))
+        components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
         checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
         state = ufl.as_vector([*components, 0.0 if p is None else p])
         if projected:

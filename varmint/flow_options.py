@@ -76,6 +76,8 @@ class FlowOptions:
             if getattr(self, name) is not None:
                 check(name, getattr(self, name))
         checks.not_negative("C_t", self.C_t)
+        for name in ("invariant_metric", "frozen_tangent"):
+            checks.flag(name, getattr(self, name))
         checks.choice("pressure", self.pressure, ("automatic", "null space", "pin"))
         checks.whole("max_iterations", self.max_iterations, 1)
 

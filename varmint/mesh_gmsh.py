@@ -71,6 +71,7 @@ def channel_with_cylinder(
     cylinder_size: float | None = None,
     wake_size: float | None = None,
     beam: tuple[float, float] | None = None,
+    rigid: bool = False,
     depth: float | None = None,
 ) -> NamedMesh:
     """Channel (0, length) x (0, height) with a cylinder across it, and a beam behind the cylinder if one is wanted.
@@ -90,20 +91,24 @@ def channel_with_cylinder(
         wake_size: of the cells up to two radii from the axis between the cylinder and the outlet; None: not refined.
         beam: length, from the rearmost point of the cylinder to its tip, and thickness; its root is an arc of the
             cylinder. None: no beam.
+        rigid: whether the beam does not move: then it has no cells, and its surface is the group "beam".
         depth: extent along the third axis, for tetrahedra over the triangles; None: a plane mesh.
 
     Returns:
         Mesh with the groups of facets "inlet", "outlet", "walls" and "cylinder", and with a depth "back" and "front".
         With a beam "cylinder" is what the fluid touches; further groups are "beam_root" on the cylinder and "interface"
-        between the groups of cells "fluid" and "solid".
+        between the groups of cells "fluid" and "solid", or "beam" alone if it is rigid.
 
     Raises:
         ValueError: a length that is not positive, cells that are to be larger at the cylinder or in the wake than
-            away, a cylinder or a beam that is not within the channel, or a beam that is not thinner than the cylinder.
+            away, a cylinder or a beam that is not within the channel, a beam that is not thinner than the cylinder, or
+            a rigid beam that is none.
         RuntimeError: gmsh is in use.
     """
     x, y = _check_channel(length, height, center, radius, beam, depth)
     checks.positive("size", size)
+    if checks.flag("rigid", rigid) and beam is None:
+        raise ValueError("rigid = True with beam = None: a beam's length and thickness are required")
     thin = size if beam is None else beam[1]
     fine = min(size / 4.0, thin / 2.0) if cylinder_size is None else checks.positive("cylinder_size", cylinder_size)
     wake = size if wake_size is None else checks.positive("wake_size", wake_size)
@@ -118,7 +123,7 @@ def channel_with_cylinder(
 
     def arrays() -> MeshArrays:
         with session() as gmsh:
-            _build_channel(gmsh.model, (length, height), (x, y), radius, tip)
+            _build_channel(gmsh.model, (length, height), (x, y), radius, tip, rigid)
             set_sizes(gmsh, size, fields)
             plane = model_elements(gmsh, 2, "the channel").arrays()
         return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size - 1e-9)))
@@ -152,7 +157,12 @@ def _zone(size: float, start: float, end: float, y: float, width: float) -> Regi
 
 
 def _build_channel(
-    model: Any, corner: tuple[float, float], center: tuple[float, float], radius: float, tip: tuple[float, float] | None
+    model: Any,
+    corner: tuple[float, float],
+    center: tuple[float, float],
+    radius: float,
+    tip: tuple[float, float] | None,
+    rigid: bool,
 ) -> None:
     """Geometry and groups; ``tip`` is where a beam ends along the first axis, and its thickness."""
     geo, (x, y) = model.geo, center
@@ -170,8 +180,13 @@ def _build_channel(
         path = [ring[-1], *(geo.addPoint(tip[0], y + s * tip[1] / 2.0, 0.0) for s in (-1.0, 1.0)), ring[0]]
         edges = [geo.addLine(a, b) for a, b in pairwise(path)]
         hole = [*around, *edges]
-        facets |= {"cylinder": around, "beam_root": [root], "interface": edges}
-        cells["solid"] = [geo.addPlaneSurface([geo.addCurveLoop([*edges, -root])])]
+        facets["cylinder"] = around
+        if rigid:
+            geo.remove([(1, root)])
+            facets["beam"] = edges
+        else:
+            facets |= {"beam_root": [root], "interface": edges}
+            cells["solid"] = [geo.addPlaneSurface([geo.addCurveLoop([*edges, -root])])]
     fluid = geo.addPlaneSurface([geo.addCurveLoop([bottom, outlet, top, inlet]), geo.addCurveLoop(hole)])
     if cells:
         cells["fluid"] = [fluid]

@@ -88,11 +88,6 @@ class MeshMotion:
             )
 
 
-def _check_shape(name: str, u: Any, domain: Any) -> None:
-    if u.ufl_shape != (domain.geometry.dim,):
-        raise ValueError(f"{name} has shape {u.ufl_shape}: ({domain.geometry.dim},) is required")
-
-
 class _Corners:
     """det F at the nodes of all cells of a mesh that a Lagrange space displaces."""
 
@@ -138,8 +133,7 @@ class PrescribedMotion(MeshMotion):
         super().__init__(mesh, dt, scheme, degree)
         domain, time = mesh.domain, self.time
         x, t = ufl.SpatialCoordinate(domain), ufl.variable(time.t)
-        u = compat.ask("displacement", displacement, x, t)
-        _check_shape("displacement", u, domain)
+        u = checks.vector("displacement", compat.ask("displacement", displacement, x, t), domain.geometry.dim)
         rate = ufl.diff(u, t)
         self._move = compat.Interpolation(time.x, u)
         end, time.t.value = float(time.t.value), time.time
@@ -207,8 +201,8 @@ class ElasticMotion(MeshMotion):
             dofs = compat.nodes_on_facets(V, mesh.facets(name))
             held.append(dofs)
             if data is not None:
-                target, value = fem.Function(V), compat.ask(f"displacements[{name!r}]", data, x, self.time.t)
-                _check_shape(f"displacements[{name!r}]", value, domain)
+                target, label = fem.Function(V), f"displacements[{name!r}]"
+                value = checks.vector(label, compat.ask(label, data, x, self.time.t), domain.geometry.dim)
                 self._data.append((compat.Interpolation(target, value), target, self._unblocked(dofs)))
         if cells:
             inside = np.setdiff1d(np.arange(len(compat.cell_nodes(domain)), dtype=np.int32), mesh.cells(*cells))

@@ -223,9 +223,13 @@ class NodalField:
 
     Attributes:
         field: the function.
+
+    Raises:
+        ValueError: the measure is not one of the mesh's cells or boundary.
     """
 
     def __init__(self, flow: Flow, name: str, expression: Any, measure: ufl.Measure, weight: Any = 1.0) -> None:
+        checks.measure("measure", measure, flow.mesh.domain, "cell", "exterior_facet")
         shape = expression.ufl_shape
         V = compat.lagrange_space(flow.mesh.domain, 1, shape[0] if shape else 1)
         self.field = fem.Function(V, name=name)

@@ -87,7 +87,12 @@ def solid_residual(
 
     Returns:
         Residual form.
+
+    Raises:
+        ValueError: f has another shape than the displacement, or the measure is none of cells.
     """
+    checks.measure("dx", dx, None, "cell")
+    f = None if f is None else checks.vector("f", f, *displacement.ufl_shape)
     F = ufl.Identity(len(displacement)) + ufl.grad(displacement)
     inertia = acceleration if f is None else acceleration - f
     return (material.density * ufl.inner(inertia, w) + ufl.inner(material.first_piola_kirchhoff(F), ufl.grad(w))) * dx
@@ -119,7 +124,11 @@ def mesh_residual(
 
     Returns:
         Residual form.
+
+    Raises:
+        ValueError: the measure is not one of the mesh's cells.
     """
+    checks.measure("dx", dx, domain, "cell")
     d = len(displacement)
     F = ufl.Identity(d) + ufl.grad(displacement)
     E = (F.T * F - ufl.Identity(d)) / 2

@@ -200,17 +200,21 @@ def interior_residual(
         Residual form.
 
     Raises:
-        ValueError: a number out of range, v or f of a wrong shape, v_t without dt or dt without v_t.
+        ValueError: a number out of range, v or f of a wrong shape, v_t without dt or dt without v_t, or a measure that
+            is not one of the mesh's cells.
     """
     k = checks.whole("degree", degree, 1)
     _check_numbers(rho=rho, mu=mu, dt=dt, C_I=C_I, C_t=C_t, scale_m=scale_m, scale_c=scale_c)
-    _check_fields(v, f, v_t, dt, domain.geometry.dim)
+    _check_fields(v, v_t, dt, domain.geometry.dim)
+    if f is not None:
+        f = checks.vector("f", f, *v.ufl_shape)
 
     curved = motion is not None and motion.degree > 1
     if dx is None:
         extra = 2 * (motion.degree - 1) if motion is not None else 0
         degree_q = 2 * k + extra if quadrature_degree is None else quadrature_degree
         dx = ufl.dx(domain=domain, metadata={"quadrature_degree": degree_q})
+    checks.measure("dx", dx, domain, "cell")
     simple = is_linear_simplex(domain, k) and not curved
     D = material_acceleration(v, v_t=v_t, f=f, motion=motion)
     r_M = momentum_residual(v, p, rho=rho, mu=mu, linear_simplex=simple, v_t=v_t, f=f, motion=motion)
@@ -257,13 +261,14 @@ def frozen_tangent(residual: ufl.Form, x: Any, x_tau: Any) -> ufl.Form:
 def _check_numbers(**numbers: Any) -> None:
     may_vanish = ("mu", "C_I", "C_t", "scale_m")
     for name, value in numbers.items():
+        if value is None and name not in ("rho", "mu", "C_t"):
+            continue
         checks.parameter(name, value, checks.not_negative if name in may_vanish else checks.positive)
 
 
-def _check_fields(v: Any, f: Any, v_t: Any, dt: Any, d: int) -> None:
-    if v.ufl_shape != (d,):
-        raise ValueError(f"v has shape {v.ufl_shape}: a mesh of dimension {d} requires ({d},)")
-    if f is not None and f.ufl_shape != v.ufl_shape:
-        raise ValueError(f"f has shape {f.ufl_shape}: shape {v.ufl_shape} is required")
+def _check_fields(v: Any, v_t: Any, dt: Any, d: int) -> None:
+    shape = getattr(v, "ufl_shape", None)
+    if shape != (d,):
+        raise ValueError(f"v has shape {shape}: a mesh of dimension {d} requires ({d},)")
     if (v_t is None) != (dt is None):
         raise ValueError("v_t and dt belong together: both are required for unsteady flow, neither for steady flow")

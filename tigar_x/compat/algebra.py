@@ -208,8 +208,10 @@ def pin_component(
         A dolfinx boundary condition.
 
     Raises:
-        ValueError: no node on any rank satisfies ``where``.
+        ValueError: no node on any rank satisfies ``where``, or the arguments come in another order.
     """
+    if not callable(where):
+        raise ValueError(f"where = {where!r}: a predicate is required, after the space and the component")
     collapsed, parent = component_space(space, component)
     nodes = np.flatnonzero(where(collapsed.tabulate_dof_coordinates().T))
     if space.mesh.comm.allreduce(len(nodes), op=MPI.SUM) == 0:
