@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tigar_x.compat import IntArray
-from tigar_x.multipatch import MultiPatch, as_multipatch
+from tigar_x.multipatch import MultiPatch, as_multipatch, outside
 from tigar_x.patch import Patch
 
 
@@ -22,13 +22,13 @@ def clamped(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None)
     Args:
         geometry: the shell, with open knot vectors across these edges.
         sides: names of the edges, such as "u0".
-        patch: whose edges; None: those of that name of all patches.
+        patch: whose edges; None: those of that name of all patches but the ones that are glued to another edge.
 
     Returns:
         Zero dofs (function * nsd + component), sorted.
 
     Raises:
-        ValueError: no side is named, or there is no such side or patch.
+        ValueError: no side is named, there is no such side or patch, or all of that name are glued.
     """
     return _layers(geometry, sides, patch, 2, None)
 
@@ -42,13 +42,13 @@ def pinned(
         geometry: the shell.
         sides: names of the edges.
         components: axes along which they are held; None: all.
-        patch: whose edges; None: those of that name of all patches.
+        patch: whose edges; None: those of that name of all patches but the ones that are glued to another edge.
 
     Returns:
         Zero dofs (function * nsd + component), sorted.
 
     Raises:
-        ValueError: no side is named, or there is no such side, patch or axis.
+        ValueError: no side is named, there is no such side, patch or axis, or all of that name are glued.
     """
     return _layers(geometry, sides, patch, 1, components)
 
@@ -80,6 +80,6 @@ def _layers(
 ) -> IntArray:
     if not sides:
         raise ValueError("sides is empty: name at least one edge")
-    places = geometry.locate_sides(sides, patch)
+    places = outside(geometry, sides, patch)
     functions = np.unique(np.concatenate([geometry.side_functions(*place, layers) for place in places]))
     return geometry.dofs(functions, axes)

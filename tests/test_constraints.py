@@ -7,11 +7,12 @@ import ufl
 from dolfinx import fem
 from splines import energy, quarter, radial, rectangle, turned
 
+from shnapr.supports import clamped, pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x import shapes
 from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.constraints import null_space, smooth_joints, symmetry, tied
+from tigar_x.constraints import no_rotation, null_space, smooth_joints, symmetry, tied
 from tigar_x.multipatch import as_multipatch, disjoint, glued
 from tigar_x.patch import Patch
 from tigar_x.spline import ExtractedSpline
@@ -308,6 +309,26 @@ def test_without_its_smooth_joint_a_beam_has_a_hinge():
     joined = beam(geometry, ends, load=1.0, constraints=[smooth_joints(geometry)])(POSITIONS)
     np.testing.assert_allclose(joined, expected, rtol=0, atol=1e-8 * sag)
     assert np.abs(beam(geometry, ends, load=1.0)(POSITIONS)).max() > 1.5 * sag
+
+
+# -- sides that are glued ---------------------------------------------------------------------------------------------
+
+
+def test_supports_by_name_leave_joints_alone():
+    """Of two squares the right edge of the first one is a joint."""
+    two = glued(
+        *(shapes.parallelogram((x, 0, 0), (1, 0, 0), (0, 1, 0), elements=(2, 2), degrees=(2, 2)) for x in (0, 1))
+    )
+    outer = two.side("u1", 2, patch=1)
+    np.testing.assert_array_equal(clamped(two, "u1"), two.dofs(outer))
+    np.testing.assert_array_equal(pinned(two, "u1", components=[2]), two.side_dofs("u1", 1, [2], patch=1))
+    np.testing.assert_array_equal(clamped(two, "u1", patch=0), two.side_dofs("u1", 2, patch=0))
+    assert no_rotation(two, "u1").shape[0] == no_rotation(two, "u1", patch=1).shape[0] == 4
+    assert symmetry(two, "u1", 0).shape == symmetry(two, "u1", 0, patch=1).shape
+    ring = glued(turned(*radial(2, 2), z=[0.0, 0.1, 0.2, 0.3], quarters=4), within=True)
+    for support in (clamped, pinned, no_rotation):
+        with pytest.raises(ValueError, match="side 'u1' is glued to another side wherever there is one"):
+            support(ring, "u1")
 
 
 # -- symmetry ---------------------------------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """Several patches in one numbering: what gluing joins, what it refuses, and that it changes nothing else."""
 
+import logging
+import re
 from itertools import pairwise, permutations, product
 
 import numpy as np
@@ -107,6 +109,159 @@ def test_control_points_off_an_edge_are_not_glued_to_a_corner():
     )
     beside = rectangle((2, 3), (1, 2), (1, 1))
     assert glued(bulge, beside).n == bulge.n + beside.n
+
+
+# -- what is said of it -----------------------------------------------------------------------------------------------
+
+
+def said(caplog, level):
+    return [r.getMessage() for r in caplog.records if r.name == "tigar_x.gluing" and r.levelno == level]
+
+
+def test_what_is_joined_is_said(caplog):
+    with caplog.at_level(logging.INFO):
+        glued(*plain())
+        glued(rectangle((0, 1), (0, 1)), rectangle((1, 2), (1, 3), (1, 3), (3, 1)))
+    assert said(caplog, logging.INFO) == [
+        "glued: 1 joints, 4 control points less: side u1 of patch 0 and side u0 of patch 1",
+        "glued: 0 joints, 1 control points less",
+    ]
+    assert not said(caplog, logging.WARNING)
+
+
+def rounded_rings(digits):
+    """Quarters of two rings, one of which has coordinates of a file with few digits; two corners still meet."""
+    inner, outer = (quarter([(r, None), (r + 1.0, None)]) for r in (1.0, 2.0))
+    return inner, Patch.from_points(outer.bases, np.round(outer.points, digits), outer.weights)
+
+
+def advised(text):
+    return float(re.search(r"tolerance = (\S+) would do", text)[1])
+
+
+def test_sides_that_come_near_but_not_near_enough_are_warned_of_with_a_tolerance_that_joins_them(caplog):
+    for digits in (2, 4):
+        inner, outer = rounded_rings(digits)
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            assert glued(inner, outer).n == inner.n + outer.n - 2
+        (near,) = said(caplog, logging.WARNING)
+        assert "side v1 of patch 0 and side v0 of patch 1 come within" in near
+        assert advised(near) < 10.0**-digits
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            assert glued(inner, outer, tolerance=advised(near)).n == inner.n + outer.n - 5
+        assert not said(caplog, logging.WARNING)
+
+
+def test_where_they_touch_in_part_the_error_has_the_tolerance():
+    inner, outer = rounded_rings(5)
+    with pytest.raises(ValueError, match="touch but do not have the same functions") as caught:
+        glued(inner, outer)
+    assert glued(inner, outer, tolerance=advised(str(caught.value))).n == inner.n + outer.n - 5
+
+
+def test_patches_of_which_none_are_joined_are_warned_of(caplog):
+    with caplog.at_level(logging.WARNING):
+        glued(rectangle((0, 1), (0, 1)), rectangle((1.03, 2), (0, 1)))
+    (text,) = said(caplog, logging.WARNING)
+    assert "nothing is joined: no control points of the 2 patches are within tolerance = 1e-08" in text
+
+
+def test_near_ends_of_curves_are_warned_of(caplog):
+    with caplog.at_level(logging.WARNING):
+        glued(*path((0, 0), (1, 0), (1, 1)), shapes.line((1.003, 1), (2, 1), elements=2))
+    (near,) = said(caplog, logging.WARNING)
+    assert "side u1 of patch 1 and side u0 of patch 2 come within 0.003 of each other and are not joined" in near
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (rectangle((1.001, 2), (0, 1), (2, 3)), "and do not have the same functions"),
+        (rectangle((1.001, 2), (0.2, 0.8)), "and do not have the same functions"),
+        (rectangle((1.001, 2), (0, 1), (2, 2)), "tolerance = 4.9e-04 would do"),
+        (rectangle((1.03, 2), (0, 1)), None),
+        (rectangle((1.03, 2), (0, 1), (2, 3)), None),
+        (rectangle((1.001, 2), (1.1, 2.1)), None),
+        (rectangle((1.001, 1.02), (0, 1)), None),  # as wide as 19 gaps: rather a sheet beside it
+    ],
+)
+def test_what_counts_as_near(other, message, caplog):
+    with caplog.at_level(logging.WARNING):
+        glued(rectangle((0, 1), (0, 1)), other)
+    near = [text for text in said(caplog, logging.WARNING) if "nothing is joined" not in text]
+    assert len(near) == (message is not None)
+    assert not near or message in near[0]
+
+
+def test_control_points_too_dense_for_a_tolerance_are_said_to_be(caplog):
+    with caplog.at_level(logging.WARNING):
+        glued(rectangle((0, 1), (0, 1), (1, 80)), rectangle((1.009, 2), (0, 1), (1, 80)))
+    assert "too dense for any tolerance" in said(caplog, logging.WARNING)[1]
+
+
+# -- sides that stay open ---------------------------------------------------------------------------------------------
+
+
+def bands(*slit):
+    """Two rings of two patches each, the outer ones first; ``slit`` is kept open."""
+    basis, r = radial(2, 1)
+    halves = [turned(basis, start + r, quarters=2) for start in (2.0, 1.0)]
+    rings = [Patch.from_points(p.bases, sign * p.points, p.weights) for p in halves for sign in (1.0, -1.0)]
+    return glued(*rings, keep_open=slit)
+
+
+def test_a_slit_between_patches_stays_open_to_its_tip():
+    closed, inner, both = bands(), bands((2, "u0")), bands((0, "u0"), (2, "u0"))
+    assert closed.n == 8 * 5
+    assert inner.n == closed.n + 2  # the tip is joined
+    assert both.n == closed.n + 5
+    assert set(inner.outer_sides) - set(closed.outer_sides) == {(2, 0, 0), (3, 0, 1)}
+    assert len(both.outer_sides) == len(closed.outer_sides) + 4
+    assert bands((1, "u1"), (3, "u1")).n == both.n
+
+
+@pytest.mark.mpi
+def test_a_ring_with_a_slit_is_no_closed_one():
+    opened = annulus(False)
+    closed, slit = (glued(opened, within=True, keep_open=sides) for sides in ((), [(0, "u0")]))
+    assert (slit.n, closed.n) == (opened.n, opened.n - 4)
+    angle = np.linspace(0, 2 * np.pi, 30)
+    points = 1.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)[1:-1]
+    same_solution(*poisson(opened), *poisson(slit), points)
+    assert abs(energy(*poisson(slit))[0] / energy(*poisson(closed))[0] - 1.0) > 1e-3
+
+
+def test_a_disc_with_a_slit_and_rings_around_it():
+    disc = turned(*radial(2, 2), quarters=4)
+    assert glued(disc, within=True, keep_open=[(0, "u1")]).n == 9 * 3 + 1  # the pole is joined
+    basis, r = radial(2, 2)
+    pair = disc, turned(basis, 1.0 + r, quarters=4)
+    assert glued(*pair, within=True).n == 8 * (3 + 3) + 1
+    assert glued(*pair, within=True, keep_open=[(0, "u0"), (1, "u0")]).n == 9 * (3 + 3) + 1
+    assert glued(*pair, within=True, keep_open=[(1, "u0")]).n == 8 * 3 + 1 + 9 * 3
+    backwards = disc, pair[1].reversed(0)
+    assert glued(*backwards, within=True, keep_open=[(0, "u0"), (1, "u1")]).n == 9 * (3 + 3) + 1
+
+
+def test_crossing_curves_that_do_not_meet():
+    lines = path((0, 0), (1, 0), (1, 1))
+    assert glued(*lines, keep_open=[(1, "u0")]).n == 2 * 4
+
+
+@pytest.mark.parametrize(
+    ("keep_open", "message"),
+    [
+        ([(0, "u0")], r"keep_open\[0\] = \(0, 'u0'\): no other side is in that place, it would not be glued"),
+        ([(1, "u0"), (1, "v0")], r"keep_open\[1\] = \(1, 'v0'\): no other side"),
+        ([(2, "u0")], "patch = 2: one of 0, 1 is required"),
+        ([(1, "w0")], "name = 'w0': one of"),
+    ],
+)
+def test_sides_to_keep_open_that_are_not_glued_are_refused(keep_open, message):
+    with pytest.raises(ValueError, match=message):
+        glued(*plain(), keep_open=keep_open)
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.lines import Line, inner_lines, joints
-from tigar_x.multipatch import MultiPatch, as_multipatch
+from tigar_x.multipatch import MultiPatch, as_multipatch, outside
 from tigar_x.patch import Patch
 
 ROUNDING = 1e-12
@@ -56,7 +56,7 @@ def symmetry(geometry: Patch | MultiPatch, side: str, normal: int, *, patch: int
         geometry: curve or surface, of one or several patches.
         side: name of the edge.
         normal: axis normal to the plane.
-        patch: whose edge; None: those of that name of all patches.
+        patch: whose edge; None: those of that name of all patches but the ones that are glued to another edge.
 
     Returns:
         G, shape (constraints, n nsd).
@@ -67,7 +67,7 @@ def symmetry(geometry: Patch | MultiPatch, side: str, normal: int, *, patch: int
     """
     checks.choice("normal", normal, tuple(range(geometry.nsd)))
     whole = as_multipatch(geometry)
-    blocks = [_mirror(whole, place, side, normal) for place in whole.locate_sides([side], patch)]
+    blocks = [_mirror(whole, place, side, normal) for place in outside(whole, [side], patch)]
     return sp.vstack(blocks, format="csr")
 
 
@@ -112,7 +112,7 @@ def no_rotation(geometry: Patch | MultiPatch, *sides: str, patch: int | None = N
     Args:
         geometry: curve in the plane or surface in space, of one or several patches.
         sides: names of the edges.
-        patch: whose edges; None: those of that name of all patches.
+        patch: whose edges; None: those of that name of all patches but the ones that are glued to another edge.
 
     Returns:
         G, shape (constraints, n nsd).
@@ -126,7 +126,7 @@ def no_rotation(geometry: Patch | MultiPatch, *sides: str, patch: int | None = N
     if size not in ((1, 2), (2, 3)):
         raise ValueError(f"geometry has dimension {size[0]} in {size[1]} dimensions: 1 in 2, or 2 in 3 is required")
     whole = as_multipatch(geometry)
-    return sp.vstack([_unturned(whole, place) for place in whole.locate_sides(sides, patch)], format="csr")
+    return sp.vstack([_unturned(whole, place) for place in outside(whole, sides, patch)], format="csr")
 
 
 def _unturned(geometry: MultiPatch, place: tuple[int, int, int]) -> sp.csr_matrix:

@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from tigar_x.bspline import BSplineBasis, TensorBasis
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.multipatch import MultiPatch, side_name
+from tigar_x.gluing import side_name
+from tigar_x.multipatch import MultiPatch
 
 INSIDE = np.array([0.2, 0.5, 0.8])
 """Where the elements along a line are looked at; the same from both ends."""

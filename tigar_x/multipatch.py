@@ -8,22 +8,18 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tigar_x import checks
+from tigar_x import checks, gluing
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.functions import SplineFunctions
-from tigar_x.locate import closest_points
 from tigar_x.patch import ControlNet, Patch
 
 TOLERANCE = 1e-8
 """Control points closer than this, relative to the model's size, are one."""
-SAME_FUNCTION = 1e-6
-"""Functions that differ by less along a joint are the same."""
 ALL = slice(None)
-INSIDE = np.array([0.13, 0.42, 0.77])
-"""Where a Bezier element of a side is compared with other sides; not at points that are likely to be special."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,44 +160,90 @@ def disjoint(*patches: Patch) -> MultiPatch:
     return MultiPatch(patches)
 
 
-def glued(*patches: Patch, tolerance: float = TOLERANCE, within: bool = False) -> MultiPatch:
+def glued(
+    *patches: Patch, tolerance: float = TOLERANCE, within: bool = False, keep_open: Sequence[tuple[int, str]] = ()
+) -> MultiPatch:
     """Patches whose coincident corners, edges and faces become one (C0), whatever their order and orientation.
 
     Functions are numbered by the position of their control points' first appearance, so the order of the patches
-    permutes numbers and nothing else.
+    permutes numbers and nothing else. The log tells what is joined, and warns of sides that come near each other but
+    not near enough.
 
     Args:
         patches: the patches.
         tolerance: distance of control points that counts as none, relative to the size of the model.
         within: whether coincident boundary points of one patch are glued as well: a degenerate edge, such as a pole,
             becomes one function, and a patch that closes on itself becomes a ring.
+        keep_open: sides that stay a boundary although another side lies in the same place, such as one bank of a slit
+            (of all patches along it, the same bank): patch and name of each. Their ends are joined where further
+            joints lead there, as at the tip of a slit.
 
     Returns:
         The geometry.
 
     Raises:
-        ValueError: no patch, patches of different dimensions, or sides that touch but do not have the same functions:
-            other control points, ratios of weights, degrees or knots, or one longer than the other.
+        ValueError: no patch, patches of different dimensions, sides that touch but do not have the same functions:
+            other control points, ratios of weights, degrees or knots, or one longer than the other; or a side of
+            ``keep_open`` that would not be glued.
     """
     checks.positive("tolerance", tolerance)
     checks.flag("within", within)
     apart = MultiPatch(patches)
-    groups: dict[bytes, list[tuple[int, IntArray]]] = {}
     labels = _coincidence(apart, tolerance)
+    kept = _kept_open(apart, labels, within, keep_open)
+    bank = np.zeros(apart.n, dtype=bool)
+    groups: dict[bytes, list[tuple[int, IntArray]]] = {}
     for k, patch in enumerate(patches):
-        for part in _boundary_parts(patch):
+        for sides, part in _boundary_parts(patch):
             raw = apart.functions.offsets[k] + part
-            groups.setdefault(np.unique(labels[raw]).tobytes(), []).append((k, raw))
+            if any((k, *side) in kept for side in sides):
+                bank[raw] = True
+            else:
+                groups.setdefault(np.unique(labels[raw]).tobytes(), []).append((k, raw))
     pairs = [np.empty((2, 0), dtype=np.int32)]
     for members in groups.values():
         if within or len({k for k, _ in members}) > 1:
-            raw = np.concatenate([functions for _, functions in members])
-            raw = raw[np.argsort(labels[raw], kind="stable")]
-            same = np.diff(labels[raw]) == 0
-            pairs.append(np.stack([raw[:-1][same], raw[1:][same]]))
+            pairs += _joined([raw for _, raw in members], labels, bank)
     geometry = MultiPatch(patches, _components(np.concatenate(pairs, axis=1), apart.n))
-    _check_sides(geometry, tolerance, within)
+    gluing.check_sides(geometry, tolerance, within, kept)
+    gluing.report(geometry, tolerance, within, kept)
     return geometry
+
+
+def _kept_open(
+    apart: MultiPatch, labels: IntArray, within: bool, keep_open: Sequence[tuple[int, str]]
+) -> set[tuple[int, int, int]]:
+    """Patch, direction and end of sides that are not to be glued; each coincides with another one that might be."""
+    kept: set[tuple[int, int, int]] = set()
+    for i, (k, name) in enumerate(keep_open):
+        (place,) = apart.locate_sides([name], k)
+        own = np.unique(labels[apart.side_functions(*place)])
+        others = [side for side in apart.open_sides if side != place and (within or side[0] != k)]
+        if not any(np.array_equal(own, np.unique(labels[apart.side_functions(*side)])) for side in others):
+            raise ValueError(f"keep_open[{i}] = {(k, name)}: no other side is in that place, it would not be glued")
+        kept.add(place)
+    return kept
+
+
+def _joined(members: list[IntArray], labels: IntArray, bank: NDArray[np.bool_]) -> list[IntArray]:
+    """Pairs of functions of coincident corners, edges or faces that become one, each of shape (2, pairs).
+
+    Where an open bank ends at an edge that closes on itself, two functions of one member have one label: they stay
+    apart, each with those of the same bank of the other members, unless the member has collapsed or another one is
+    closed there.
+    """
+    raw = np.concatenate(members)
+    owner = np.repeat(np.arange(len(members)), [len(member) for member in members])
+    point = [np.ptp(labels[member]) == 0 for member in members]
+    key = 2 * labels[raw].astype(np.int64)
+    for label in np.unique(labels[raw[bank[raw]]]):
+        here = labels[raw] == label
+        on, off = (np.unique(owner[here & side]) for side in (bank[raw], ~bank[raw]))
+        if len(off) and np.isin(off, on).all() and not any(point[i] for i in on):
+            key[here & bank[raw]] += 1
+    order = np.argsort(key, kind="stable")
+    raw, same = raw[order], np.diff(key[order]) == 0
+    return [np.stack([raw[:-1][same], raw[1:][same]])]
 
 
 def _coincidence(apart: MultiPatch, tolerance: float) -> IntArray:
@@ -221,90 +263,44 @@ def _components(pairs: IntArray, n: int) -> IntArray:
     return np.asarray(np.unique(labels, return_index=True)[1].argsort().argsort()[labels], dtype=np.int32)
 
 
-def _boundary_parts(patch: Patch) -> list[IntArray]:
-    """Functions of the corners, edges and faces of a patch."""
+def _boundary_parts(patch: Patch) -> list[tuple[list[tuple[int, int]], IntArray]]:
+    """Corners, edges and faces of a patch: the sides (direction and end) that each lies on, and its functions."""
     grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
     ends: list[tuple[Any, ...]] = [(ALL,) if basis.periodic else (ALL, 0, -1) for basis in patch.bases]
-    return [grid[place].ravel() for place in product(*ends) if any(end is not ALL for end in place)]
-
-
-def _check_sides(geometry: MultiPatch, tolerance: float, within: bool) -> None:
-    """Refuse sides that touch along a part but do not have the same functions there."""
-    if geometry.dim == 1:
-        return
-    sides = [_Side.of(geometry, *place) for place in geometry.open_sides]
-    slack = tolerance * geometry.size
-    for i, side in enumerate(sides):
-        for other in sides[:i]:
-            if other.patch == side.patch and not within:
-                continue
-            if _differ(side, other, slack, geometry) or _differ(other, side, slack, geometry):
-                raise ValueError(
-                    f"{other.name} and {side.name} touch but do not have the same functions: the same control points, "
-                    "weights, degrees and knots are required"
-                )
-
-
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """A side of a patch as a geometry of its own.
-
-    Attributes:
-        patch: which patch it belongs to.
-        name: what messages call it.
-        shape: the side.
-        numbers: its functions among those of the whole geometry.
-        xi: samples inside its Bezier elements.
-        x: their positions.
-    """
-
-    patch: int
-    name: str
-    shape: Patch
-    numbers: IntArray
-    xi: FloatArray
-    x: FloatArray
-
-    @classmethod
-    def of(cls, geometry: MultiPatch, k: int, direction: int, end: int) -> "_Side":
-        """Side of a patch by its direction and end."""
-        patch = geometry.patches[k]
-        own = patch.side_functions(0, direction, end)
-        numbers = geometry.functions.global_numbers(k, own)
-        bases = tuple(basis for d, basis in enumerate(patch.bases) if d != direction)
-        shape = Patch.from_points(bases, geometry.points[numbers], patch.weights[own])
-        ticks = [(b.breakpoints[:-1, None] + np.diff(b.breakpoints)[:, None] * INSIDE).ravel() for b in bases]
-        xi = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(bases))
-        return cls(k, side_name(k, direction, end), shape, numbers, xi, shape.evaluate(xi))
-
-    def functions(self, xi: FloatArray, geometry: MultiPatch) -> sp.csr_matrix:
-        """Rational functions of the geometry at parameters of the side, shape (m, n)."""
-        N = self.shape.basis.evaluate(xi)
-        N = sp.diags(1.0 / (N @ self.shape.weights)) @ N @ sp.diags(self.shape.weights)
-        place = (np.arange(len(self.numbers)), self.numbers)
-        return N @ sp.csr_matrix((np.ones(len(self.numbers)), place), shape=(len(self.numbers), geometry.n))
-
-
-def _differ(one: _Side, other: _Side, slack: float, geometry: MultiPatch) -> bool:
-    """Whether samples of one side lie on the other one where that has other functions."""
-    low, high = other.shape.points.min(axis=0) - slack, other.shape.points.max(axis=0) + slack
-    near = ((one.x >= low) & (one.x <= high)).all(axis=1)
-    if not near.any() or np.ptp(one.x, axis=0).max() <= slack:
-        return False
-    xi, x = one.xi[near], one.x[near]
-    closest = closest_points(other.shape, x)
-    touching = closest.distance <= slack
-    if not touching.any():
-        return False
-    gap = one.functions(xi[touching], geometry) - other.functions(closest.xi[touching], geometry)
-    return bool(np.abs(gap).max() > SAME_FUNCTION)
-
-
-def side_name(patch: int, direction: int, end: int) -> str:
-    """What messages call a side."""
-    return f"side {'uvw'[direction]}{end} of patch {patch}"
+    found = []
+    for place in product(*ends):
+        sides = [(d, 0 if end == 0 else 1) for d, end in enumerate(place) if end is not ALL]
+        if sides:
+            found.append((sides, grid[place].ravel()))
+    return found
 
 
 def as_multipatch(geometry: Patch | MultiPatch) -> MultiPatch:
     """A patch as the only one of a geometry; a geometry of several as it is."""
     return MultiPatch((geometry,)) if isinstance(geometry, Patch) else geometry
+
+
+def outside(geometry: ControlNet, names: Sequence[str], patch: int | None) -> list[tuple[int, int, int]]:
+    """Sides by name on which a condition may be set: of all patches, those that are not glued to another side.
+
+    Args:
+        geometry: one patch or several.
+        names: see :meth:`tigar_x.patch.ControlNet.locate_sides`; one or more.
+        patch: which patch, whose sides are taken glued or not; None: every patch.
+
+    Returns:
+        Patch, direction and end of every side.
+
+    Raises:
+        ValueError: there is no such side or patch, or all sides of a name are glued.
+    """
+    if patch is not None or not isinstance(geometry, MultiPatch):
+        return geometry.locate_sides(names, patch)
+    found = []
+    for name in names:
+        places = geometry.locate_sides([name])
+        free = [place for place in places if geometry.collapsed(*place) or place in geometry.outer_sides]
+        if not free:
+            raise ValueError(f"side {name!r} is glued to another side wherever there is one: name its patch to hold it")
+        found += free
+    return found
