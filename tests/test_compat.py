@@ -8,6 +8,7 @@ from dolfinx import fem, mesh
 from flows import grid
 
 from tigar_x import compat
+from tigar_x.compat import spaces
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
@@ -256,3 +257,19 @@ def test_forms_that_were_compiled():
     assert (residual.integrals, residual.coefficients, residual.constants) == (("cell", "exterior_facet"), ("u",), 1)
     assert (functional.arguments, functional.integrals, functional.constants) == (0, ("cell",), 0)
     assert residual.seconds > 0.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["blocked", "mixed"])
+def test_components_where_a_rank_has_no_cell(name, monkeypatch):
+    """Numbered by hand there: the same nodes as dolfinx has."""
+    domain = grid("triangle")
+    V = compat.lagrange_space(domain, 2, 3) if name == "blocked" else compat.mixed_space(domain, (2, 2), (1, 1))
+    for component in range(3):
+        expected, parent = compat.component_space(V, component)
+        with monkeypatch.context() as patch:
+            patch.setattr(spaces, "_some_rank_is_empty", lambda _: True)
+            found, rows = compat.component_space(V, component)
+        place = dict(zip(parent.tolist(), expected.tabulate_dof_coordinates().tolist(), strict=True))
+        assert sorted(rows) == sorted(parent)
+        np.testing.assert_allclose(found.tabulate_dof_coordinates(), [place[row] for row in rows.tolist()], atol=1e-14)

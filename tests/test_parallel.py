@@ -1,7 +1,8 @@
-"""The tests marked mpi pass on two ranks, and standalone splines give the same on one, two and three."""
+"""The tests marked mpi pass on two ranks, standalone splines give the same on one, two and three."""
 
 import json
 
+import few_cells
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -31,3 +32,15 @@ def test_standalone_splines_do_not_depend_on_the_number_of_ranks():
         for name, values in results[1].items():
             scale = np.abs(values).max()
             np.testing.assert_allclose(results[ranks][name], values, rtol=0, atol=1e-9 * scale, err_msg=name)
+
+
+def test_ranks_may_be_more_than_cells(tmp_path):
+    """Splines of one element, and a flow and a sheet in two triangles, are the same on three ranks as on one."""
+    expected = few_cells.main(tmp_path / "one")
+    done = mpirun(3, ROOT / "tests" / "few_cells.py", tmp_path / "three")
+    assert done.returncode == 0, done.stderr[-3000:]
+    results = json.loads(done.stdout.splitlines()[-1])
+    assert len(expected) == 3
+    for name, values in expected.items():
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(results[name], values, rtol=0, atol=1e-9 * scale, err_msg=name)

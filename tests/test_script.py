@@ -333,3 +333,13 @@ def test_table():
     assert script.table(["a", "bc"], []) == "a  bc"
     with pytest.raises(ValueError, match="argument"):
         script.table(["a", "b"], [[1, 2, 3]])
+
+
+@pytest.mark.parametrize("time", ["first", "second"])
+def test_tests_leave_the_levels_of_loggers_as_they_were(time):
+    """Whichever comes first finds what the other has not set."""
+    package, new = logging.getLogger("coudalfish"), logging.getLogger("coudalfish.made_by_a_test")
+    assert (package.level, new.level) == (logging.NOTSET, logging.NOTSET)
+    script.set_up_logging(logging.ERROR)
+    package.setLevel(logging.ERROR)
+    new.setLevel(logging.ERROR)

@@ -179,7 +179,8 @@ class ExtractedSpline:
 
     def nodal(self, u: fem.Function) -> FloatArray:
         """Physical values of a homogeneous isoparametric field at the nodes, shape (nodes, components)."""
-        return u.x.array.reshape(len(self.node_weights), -1) / self.node_weights[:, None]
+        size = u.function_space.dofmap.index_map_bs
+        return u.x.array.reshape(-1, size) / self.node_weights[:, None]
 
     def evaluate(self, u: fem.Function, xi: ArrayLike, patch: int = 0) -> FloatArray:
         """Physical values of a homogeneous isoparametric field at parameters of a patch (collective).

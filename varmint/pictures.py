@@ -30,7 +30,7 @@ class PlaneField:
         V = function.function_space
         comm = V.mesh.comm
         x = V.tabulate_dof_coordinates()
-        values = function.x.array.reshape(len(x), -1)
+        values = function.x.array.reshape(-1, V.dofmap.index_map_bs)
         if displacement is not None:
             d = V.mesh.geometry.dim
             at_nodes = fem.Function(compat.lagrange_space(V.mesh, compat.lagrange_degree(V), d))

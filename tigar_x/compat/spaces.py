@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 import ufl
 import ufl.corealg.traversal
+from mpi4py import MPI
 from dolfinx import fem, mesh
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from tigar_x.compat.forms import JIT, compiling
 from tigar_x.compat.jit import safe_cache
-from tigar_x.compat.meshes import cell_name, is_simplex, owned_cells
+from tigar_x.compat.meshes import cell_name, cell_nodes, is_simplex, owned_cells
 from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
 
 # Nodes lie at Gauss-Lobatto-Legendre points, which is the default of all releases.
@@ -100,8 +101,20 @@ def component_space(space: fem.FunctionSpace, component: int) -> tuple[fem.Funct
             raise IndexError(f"component = {component}: the space is scalar, allowed is 0")
         dofmap = space.dofmap
         return space, np.arange(dofmap.index_map.size_local + dofmap.index_map.num_ghosts, dtype=np.int32)
-    collapsed, parent = component_view(space, component).collapse()
+    view = component_view(space, component)
+    if _some_rank_is_empty(space.mesh):  # where collapse() crashes
+        scalar = lagrange_space(space.mesh, lagrange_degree(view))
+        map = scalar.dofmap.index_map
+        parent = np.zeros(map.size_local + map.num_ghosts, dtype=np.int32)
+        parent[cell_dofs(scalar)] = cell_dofs(view)
+        return scalar, parent
+    collapsed, parent = view.collapse()
     return collapsed, np.asarray(parent if VERSION < (0, 11) else parent[0], dtype=np.int32)
+
+
+def _some_rank_is_empty(domain: mesh.Mesh) -> bool:
+    """Whether there is a rank without a cell (collective)."""
+    return domain.comm.size > 1 and bool(domain.comm.allreduce(len(cell_nodes(domain)) == 0, op=MPI.LOR))
 
 
 def component_view(space: fem.FunctionSpace, component: int) -> fem.FunctionSpace:
