@@ -23,6 +23,41 @@ from tigar_x.compat.release import VERSION
 # when they are made, in scripts too, so this cannot be confined to compilation.
 ufl.sorting._terminal_cmps[ufl.Constant._ufl_typecode_] = ufl.sorting._cmp_coefficient
 
+if VERSION == (0, 9):
+    from ufl.algorithms import compute_form_data  # noqa: F401  (a function, of the same name as its module)
+    from ufl.form import Form
+
+    _analysis: Any = sys.modules["ufl.algorithms.compute_form_data"]
+    _group_form_integrals = _analysis.group_form_integrals
+
+    def _with_disjoint_ids(form: Form, *options: Any, **named: Any) -> Form:
+        """Integrals as UFL groups them, but one for each id when some ids have integrals of several degrees.
+
+        This dolfinx finds kernels by their first id, and would take the same one for all of them
+        (https://github.com/FEniCS/dolfinx/issues/3735).
+        """
+        grouped = _group_form_integrals(form, *options, **named)
+        kinds = {(itg.integral_type(), itg.subdomain_id()) for itg in grouped.integrals()}
+        ids = [(kind, i) for kind, group in kinds for i in group]
+        if len(set(ids)) == len(ids):
+            return grouped
+        return Form([itg.reconstruct(subdomain_id=(i,)) for itg in grouped.integrals() for i in itg.subdomain_id()])
+
+    @contextmanager
+    def _ids_disjoint() -> Iterator[None]:
+        """Let UFL group integrals so inside the ``with`` statement."""
+        _analysis.group_form_integrals = _with_disjoint_ids
+        try:
+            yield
+        finally:
+            _analysis.group_form_integrals = _group_form_integrals
+
+else:
+
+    @contextmanager
+    def _ids_disjoint() -> Iterator[None]:
+        yield
+
 
 def _processor() -> str:
     """What ``-march=native`` depends on, so that a cache shared between machines never mixes them."""
@@ -128,7 +163,7 @@ def _compile(form: ufl.Form) -> Any:
     names = sorted(coefficient.name for coefficient in form.coefficients())
     noun = ("functional", "residual", "tangent")[len(form.arguments())]
     functions = f" of {', '.join(dict.fromkeys(names))}" if names else ""
-    with safe_cache(f"a {noun}{functions} ({', '.join(kinds)} integrals)"):
+    with safe_cache(f"a {noun}{functions} ({', '.join(kinds)} integrals)"), _ids_disjoint():
         compiled = fem.form(form, **JIT)
     _compiled.append(
         CompiledForm(

@@ -1,6 +1,5 @@
 """Meshes and geometry."""
 
-import sys
 from itertools import pairwise
 from typing import Any
 
@@ -36,28 +35,6 @@ else:
         return {"partitioner": mesh.create_cell_partitioner(*mode)}
 
     _tree, _collisions = geometry.bb_tree, geometry.compute_collisions_points  # type: ignore[attr-defined]
-
-
-if VERSION == (0, 9):
-    from ufl.algorithms import compute_form_data  # noqa: F401  (a function, of the same name as its module)
-    from ufl.form import Form
-
-    def _with_disjoint_ids(form: Form, *options: Any, **named: Any) -> Form:
-        """Integrals as UFL groups them, but one for each id when some ids have integrals of several degrees.
-
-        This dolfinx finds kernels by their first id, and would take the same one for all of them
-        (https://github.com/FEniCS/dolfinx/issues/3735).
-        """
-        grouped = _group_form_integrals(form, *options, **named)
-        kinds = {(itg.integral_type(), itg.subdomain_id()) for itg in grouped.integrals()}
-        ids = [(kind, i) for kind, group in kinds for i in group]
-        if len(set(ids)) == len(ids):
-            return grouped
-        return Form([itg.reconstruct(subdomain_id=(i,)) for itg in grouped.integrals() for i in itg.subdomain_id()])
-
-    _analysis: Any = sys.modules["ufl.algorithms.compute_form_data"]
-    _group_form_integrals = _analysis.group_form_integrals
-    _analysis.group_form_integrals = _with_disjoint_ids
 
 _VERTICES = {
     "interval": (2, 1),
