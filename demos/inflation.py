@@ -194,6 +194,7 @@ def inflate(
             plate.time,
             control=StepControl(smallest=1e-5, largest=2.0 * step, growth=growth),
             each=record,
+            comm=MPI.COMM_WORLD,
             extrapolate=True,
             reference=full_load,
             rtol=tolerance,

@@ -214,6 +214,7 @@ def close(leaflet: Leaflet, *, step: float, tolerance: float, each: Callable[[fl
             leaflet.time,
             control=StepControl(smallest=1e-4 * step, largest=step),
             each=record,
+            comm=MPI.COMM_WORLD,
             reference=full_load,
             rtol=tolerance,
             max_iterations=40,

@@ -40,8 +40,9 @@ from tigar_x.linear import SolveError
 from tigar_x.multipatch import MultiPatch, disjoint
 from tigar_x.output import CSVSeries, VTUSeries
 from tigar_x.quadrature import NodalQuadrature
+from tigar_x.ranks import agreed
 from tigar_x.ribbon import CentreLine, Crossings, piercings, ribbon
-from tigar_x.solve import newton
+from tigar_x.solve import NewtonReport, newton
 from tigar_x.spline import ExtractedSpline
 from tigar_x.time_integration import TimeIntegrator, backward_euler
 from tigar_x.writing import claim, root_only
@@ -291,7 +292,7 @@ class Run:
             time.step_size = min(self._size, end - time.time)
             time.predict()
             try:
-                report = newton(self.scene.system, rtol=0.0, atol=self._atol, max_iterations=12)
+                report = agreed(MPI.COMM_WORLD, self._solve, self.scene.y.x.array)
             except SolveError as error:
                 self.scene.y.x.array[:] = time.x_old.x.array
                 ledger.failures += 1
@@ -303,6 +304,9 @@ class Run:
             ledger.newton_iterations += len(report.step_lengths)
             self._accept()
             self._size = min(2.0 * self._size, interval)
+
+    def _solve(self) -> NewtonReport:
+        return newton(self.scene.system, rtol=0.0, atol=self._atol, max_iterations=12)
 
     def _accept(self) -> None:
         """Make a solved step the old state and enter it into the ledger."""

@@ -18,9 +18,9 @@ from tigar_x.solve import FiniteElementSystem, newton
 from tigar_x.time_integration import LoadStepper
 
 
-def pointwise(f, *, step=1.0, start=0.0):
+def pointwise(f, *, step=1.0, start=0.0, comm=MPI.COMM_WORLD):
     """f(u, t) = 0 in every point, from a constant state: one equation."""
-    V = compat.lagrange_space(mesh.create_unit_interval(MPI.COMM_WORLD, 4), 1)
+    V = compat.lagrange_space(mesh.create_unit_interval(comm, 4), 1)
     u, v = fem.Function(V), ufl.TestFunction(V)
     u.x.array[:] = start
     time = LoadStepper(u, step)

@@ -10,9 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.linear import SolveError
+from tigar_x.ranks import agreed
 from tigar_x.solve import System, newton
 from tigar_x.time_integration import LoadStepper
 
@@ -109,6 +112,7 @@ def follow_load(
     updates: Sequence[Callable[[float], None]] = (),
     each: Callable[[float], None] | None = None,
     extrapolate: bool = False,
+    comm: MPI.Comm = MPI.COMM_SELF,
     **newton_options: Any,
 ) -> LoadReport:
     """Raise the pseudo-time of a static problem, step by step, each solved by :func:`tigar_x.solve.newton`.
@@ -127,6 +131,9 @@ def follow_load(
         each: called with the pseudo-time after every converged step.
         extrapolate: whether an attempt starts from the last increment, in proportion to the step, added to the last
             state; else from the last state.
+        comm: ranks each of which solves the whole problem, on ``MPI.COMM_SELF``, while together they write or the like:
+            the steps, states and failures of all are then those of rank 0, for rounding may make others take other
+            steps. A distributed problem needs no more than the default.
         newton_options: of :func:`tigar_x.solve.newton`. Without ``reference`` or ``atol`` the accepted residual shrinks
             with the step.
 
@@ -147,7 +154,7 @@ def follow_load(
         step = left if left < stepper.step_size + control.smallest else stepper.step_size
         path.start(until if step == left else stepper.time + step, extrapolate=extrapolate)
         try:
-            report = newton(system, **newton_options)
+            report = agreed(comm, lambda: newton(system, **newton_options), stepper.x.x.array)
         except SolveError as error:
             path.restore(_CUT * step)
             if stepper.step_size < control.smallest:

@@ -38,7 +38,7 @@ def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
     result, failure = None, None
     if comm.rank == 0:
         result, failure = _tried(work)
-    told = comm.bcast(failure and _portable(failure))
+    told = comm.bcast(failure and portable(failure))
     if told is not None:
         raise failure or told
     return result
@@ -70,7 +70,7 @@ def together(comm: MPI.Comm, work: Callable[[], T]) -> T:
         comm.Ibarrier().Wait()
     elif not all_come(comm):
         raise failure
-    failures = [told for told in comm.allgather(failure and _portable(failure)) if told is not None]
+    failures = [told for told in comm.allgather(failure and portable(failure)) if told is not None]
     if failures:
         raise failure or failures[0]
     return result  # type: ignore[return-value]  # it has not failed
@@ -93,7 +93,7 @@ def _tried(work: Callable[[], T]) -> tuple[T | None, Exception | None]:
         return None, error
 
 
-def _portable(failure: Exception) -> Exception:
+def portable(failure: Exception) -> Exception:
     """The exception, or one with its name and words where it cannot be sent to other ranks."""
     try:
         pickle.loads(pickle.dumps(failure))
