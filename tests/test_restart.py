@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -311,22 +312,31 @@ def uninterrupted(tmp_path_factory):
 
 @contextmanager
 def started(folder, steps, *arguments):
-    """The run as a process of its own, which is dead at the end."""
+    """The run as a process of its own, which is dead at the end, and a function that gives what it said.
+
+    Its errors go to a file: a pipe that nobody reads while the steps are waited for would be full one day.
+    """
     command = [sys.executable, SCRIPT, folder, str(steps), *arguments]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, **pipes, env=outside(), cwd=ROOT / "tests") as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    with tempfile.TemporaryFile("w+") as errors:
+
+        def said():
+            errors.seek(0)
+            return errors.read()
+
+        pipes = {"stdout": subprocess.PIPE, "stderr": errors, "text": True}
+        with subprocess.Popen(command, **pipes, env=outside(), cwd=ROOT / "tests") as process:
+            try:
+                yield process, said
+            finally:
+                process.kill()
 
 
-def after_step(process, number):
+def after_step(process, number, said):
     """Wait until a step is done."""
     for line in process.stdout:
         if line.strip() == str(number):
             return
-    raise RuntimeError(f"the run ended before step {number}: {process.stderr.read()}")
+    raise RuntimeError(f"the run ended before step {number}: {said()}")
 
 
 @ALONE
@@ -335,15 +345,16 @@ def test_a_run_that_is_killed_goes_on(seed, tmp_path, uninterrupted):
     """At a random step, at a random moment: in a step, in a checkpoint or between them."""
     rng = np.random.default_rng(seed)
     step, delay = int(rng.integers(1, 6)), float(rng.uniform(0.0, 0.03))
-    with started(tmp_path, LONG) as process:
-        after_step(process, step)
+    with started(tmp_path, LONG) as (process, said):
+        after_step(process, step, said)
         time.sleep(delay)
         process.kill()
     assert process.returncode == -signal.SIGKILL
     done = len(history(tmp_path))
     print(f"killed {delay:.3f} s after step {step}; {done} steps are in the history")
-    with started(tmp_path, 8 if done < 8 else done + 1, "latest") as process:
-        _, errors = process.communicate(timeout=300)
+    with started(tmp_path, 8 if done < 8 else done + 1, "latest") as (process, said):
+        process.communicate(timeout=300)
+        errors = said()
     assert process.returncode == 0, errors
     assert "going on after step" in errors
     assert_same_history(tmp_path, uninterrupted, 1e-10)
@@ -381,10 +392,11 @@ restarted.main(Path({str(tmp_path)!r}), 8)
 @ALONE
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_is_told_to_end_writes_a_checkpoint_first(number, tmp_path, uninterrupted):
-    with started(tmp_path, LONG) as process:
-        after_step(process, 2)
+    with started(tmp_path, LONG) as (process, said):
+        after_step(process, 2, said)
         process.send_signal(number)
-        _, errors = process.communicate(timeout=300)
+        process.communicate(timeout=300)
+        errors = said()
     assert process.returncode == 0, errors
     done = len(history(tmp_path))
     last = tmp_path / "checkpoints" / f"checkpoint_{done:08d}.npz"
