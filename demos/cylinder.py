@@ -59,10 +59,13 @@ def build(
     rho_infinity: float = 0.5,
     ramp: float = 0.5,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    cell: str = "triangle",
+    equal_area: bool = False,
     **options: Any,
 ) -> Flow:
     """The channel at rest; steady without a time step."""
-    mesh = channel_with_cylinder(comm, size=size, cylinder_size=size / 6.0, wake_size=size / 2.0)
+    sizes = {"size": size, "cylinder_size": size / 6.0, "wake_size": size / 2.0}
+    mesh = channel_with_cylinder(comm, **sizes, cell=cell, equal_area=equal_area)
     rise = 0.0 if dt is None else ramp
     return Flow(
         mesh,

@@ -454,16 +454,18 @@ def test_a_facet_twice_in_a_group_counts_once():
 
 
 @pytest.mark.mpi
-def test_triangles_are_extruded_with_their_groups():
-    plane = some_arrays("triangle")
+@pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
+def test_plane_cells_are_extruded_with_their_groups(kind):
+    plane = some_arrays(kind)
     m = distributed(COMM, lambda: extruded(checked_arrays(plane), 0.5, 3))
     sizes = {name: size / 2.0 for name, size in (side_sizes(2) | {"middle": SIZES[1]}).items()}
     assert facet_contents(m) == pytest.approx(sizes | {"back": 3.0, "front": 3.0})
     assert cell_contents(m) == pytest.approx({"low": 0.75, "high": 0.75})
     x = compat.cell_vertices(m.domain).mean(axis=1)[:, 0]
     assert np.array_equal(np.flatnonzero(x < 1.0), m.cells("low"))
-    with pytest.raises(ValueError, match="cell of arrays = 'quadrilateral': one of 'triangle' is required"):
-        extruded(some_arrays("quadrilateral"), 1.0, 1)
+    assert compat.cell_name(m.domain) == {"triangle": "tetrahedron", "quadrilateral": "hexahedron"}[kind]
+    with pytest.raises(ValueError, match="cell of arrays = 'tetrahedron': one of 'triangle', 'quadrilateral' is req"):
+        extruded(some_arrays("tetrahedron"), 1.0, 1)
 
 
 @pytest.mark.mpi
@@ -1026,6 +1028,51 @@ def test_the_channel_with_a_depth_is_made_of_tetrahedra():
     assert m.inner_facet_names == ("interface",)
 
 
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(
+    "beam",
+    [{}, {"beam": (0.35, 0.02), "length": 2.5}, {"beam": (0.35, 0.02), "length": 2.5, "rigid": True}],
+    ids=["cylinder", "beam", "rigid"],
+)
+def test_a_polygon_of_equal_area_has_that_of_the_circle(cell, beam):
+    """What the cylinder takes of the channel, and nothing else has moved: with a beam not its root's ends either."""
+    pytest.importorskip("gmsh")
+    plain, equal = (
+        channel_with_cylinder(MPI.COMM_SELF, size=0.05, cell=cell, equal_area=on, **beam) for on in (False, True)
+    )
+    half = np.arcsin(0.2)
+    beam_area = 0.02 * (0.35 + 0.05 - 0.05 * np.cos(half)) - 0.05**2 * (half - np.sin(2.0 * half) / 2.0)
+    disc = np.pi * 0.05**2 + (beam_area if "rigid" in beam else 0.0)
+    assert compat.cell_name(equal.domain) == cell
+    assert cell_total(equal) == pytest.approx(beam.get("length", 2.2) * 0.41 - disc, rel=1e-12)
+    assert cell_total(plain) - cell_total(equal) > 0.005 * np.pi * 0.05**2
+    x, y = (m.domain.geometry.x for m in (plain, equal))
+    moved = np.linalg.norm(y - x, axis=1) > 1e-12
+    assert np.linalg.norm(x[moved, :2] - 0.2, axis=1) == pytest.approx(0.05, rel=1e-10)
+    assert np.linalg.norm(y[moved, :2] - 0.2, axis=1).max(initial=0.05) < 1.02 * 0.05
+    for name in {"interface", "beam"} & set(plain.facet_names):
+        assert facet_contents(equal)[name] == pytest.approx(facet_contents(plain)[name], rel=1e-12)
+
+
+@pytest.mark.mpi
+def test_the_channel_of_quadrilaterals_has_its_groups_with_a_depth_as_well():
+    pytest.importorskip("gmsh")
+    given = dict(size=0.1, cylinder_size=0.03, beam=(0.35, 0.02), length=1.0, cell="quadrilateral")
+    plane, m = channel_with_cylinder(COMM, **given), channel_with_cylinder(COMM, **given, depth=0.2)
+    assert compat.cell_name(m.domain) == "hexahedron"
+    found = facet_contents(m)
+    ends = [total(len(m.facets(name))) >= total(compat.owned_cells(plane.domain)) for name in ("back", "front")]
+    sides = {name: found[name] for name in plane.facet_names}
+    assert all(ends)
+    assert sides == pytest.approx({name: 0.2 * length for name, length in facet_contents(plane).items()})
+    x, owned = compat.cell_vertices(m.domain), compat.owned_cells(m.domain)
+    assert np.allclose(np.diff(x[..., 2].reshape(-1, 2, 4).mean(axis=2)), 0.1)
+    for name, area in cell_contents(plane).items():
+        cells = m.cells(name)[m.cells(name) < owned]
+        assert total(content(x[cells, :4, :2])) == pytest.approx(2.0 * area)
+    assert plane.inner_facet_names == m.inner_facet_names == ("interface",)
+
+
 def test_the_wake_is_refined_on_demand():
     pytest.importorskip("gmsh")
     counts = []
@@ -1043,6 +1090,7 @@ def test_the_wake_is_refined_on_demand():
         ({"height": np.nan}, "height = nan: a finite number is required"),
         ({"radius": -1.0}, "radius = -1.0: a number > 0 is required"),
         ({"size": 0.0}, "size = 0.0: a number > 0 is required"),
+        ({"cell": "hexahedron"}, "cell = 'hexahedron': one of 'triangle', 'quadrilateral' is required"),
         ({"depth": 0.0}, "depth = 0.0: a number > 0 is required"),
         ({"center": (0.2, 0.04)}, r"center = \(0.2, 0.04\): a cylinder of radius 0.05 within the channel is required"),
         ({"center": (0.2, 0.2, 0.2)}, r"center has shape \(3,\): shape \(2\) is required"),

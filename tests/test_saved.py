@@ -110,11 +110,22 @@ def spoil(path, how):
         path.write_bytes(content[: len(content) // 2])
     elif how == "text":
         path.write_text("3\n2 2\n")
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif how == "array":
+        with path.open("wb") as file:
+            np.save(file, np.ones(3))
+    elif how == "damaged":  # in the middle of a compressed array
+        path.write_bytes(content[:400] + bytes(64) + content[464:])
     else:
         data = dict(np.load(path))
         if how == "format":
             record = json.loads(str(data["record"])) | {"format": 99}
             data["record"] = np.array(json.dumps(record))
+        elif how == "record":
+            data["record"] = np.array("[1, 2")
+        elif how == "list":
+            data["record"] = np.array("[1, 2]")
         elif how == "missing":
             del data["control"]
         elif how == "rows":
@@ -127,6 +138,11 @@ def spoil(path, how):
     [
         ("truncated", "not a saved extraction, or a truncated one"),
         ("text", "not a saved extraction, or a truncated one"),
+        ("empty", "not a saved extraction, or a truncated one"),
+        ("array", "not a saved extraction, or a truncated one"),
+        ("damaged", "not a saved extraction, or a truncated one"),
+        ("record", "not a saved extraction: its record is none"),
+        ("list", "not a saved extraction: its record is none"),
         ("format", "format 99 was found, 1 is required"),
         ("missing", "control missing"),
         ("rows", "do not fit together"),

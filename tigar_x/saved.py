@@ -7,7 +7,6 @@ record in JSON. It may be read on any number of ranks: the nodes find their rows
 
 import io
 import json
-import zipfile
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -225,9 +224,7 @@ def load_extraction(path: Path | str, comm: MPI.Comm = MPI.COMM_WORLD) -> Extrac
         ValueError: the file is truncated, malformed or of another format; the message names it.
     """
     data = together(comm, lambda: _read(Path(path)))
-    record = json.loads(str(data["record"]))
-    if record.get("format") != FORMAT:
-        raise ValueError(f"{path}: format {record.get('format')!r} was found, {FORMAT} is required")
+    record = _record(Path(path), data)
     count, n = len(data["nodes"]), len(data["control"])
     try:
         values = sp.csr_matrix((data["M_value"], (data["M_row"], data["M_column"])), shape=(count, n))
@@ -262,8 +259,21 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             data = {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, EOFError, OSError, ValueError) as error:
-        raise ValueError(f"{path}: not a saved extraction, or a truncated one ({error})") from error
+    except Exception as error:  # there is no end to what a damaged or foreign file may raise
+        reason = str(error) or type(error).__name__
+        raise ValueError(f"{path}: not a saved extraction, or a truncated one ({reason})") from error
     if missing := sorted(names - set(data)):
         raise ValueError(f"{path}: {', '.join(missing)} missing, which a saved extraction contains")
     return data
+
+
+def _record(path: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """The record of this format."""
+    try:
+        record = json.loads(str(data["record"]))
+        found = record["format"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: not a saved extraction: its record is none ({error})") from error
+    if found != FORMAT:
+        raise ValueError(f"{path}: format {found!r} was found, {FORMAT} is required")
+    return dict(record)

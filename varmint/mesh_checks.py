@@ -231,33 +231,38 @@ def _check_disjoint(kind: str, groups: Mapping[str, Numbers]) -> None:
 
 
 def extruded(arrays: MeshArrays, depth: float, layers: int) -> MeshArrays:
-    """Tetrahedra between z = 0 and a depth, over a mesh of triangles.
+    """Tetrahedra or hexahedra between z = 0 and a depth, over a mesh of triangles or quadrilaterals.
 
-    Every prism is cut in three by the order of its vertices' numbers, so that neighbours match.
+    Every prism over a triangle is cut in three by the order of its vertices' numbers, so that neighbours match.
 
     Args:
-        arrays: triangles, whose groups become those over them.
+        arrays: the plane mesh, whose groups become those over it.
         depth: along z; unit: length.
-        layers: of prisms.
+        layers: of cells or prisms.
 
     Returns:
         The mesh; its further groups of facets are "back" (z = 0) and "front".
     """
-    checks.choice("cell of arrays", arrays.cell, ("triangle",))
+    simplices = checks.choice("cell of arrays", arrays.cell, ("triangle", "quadrilateral")) == "triangle"
     depth, layers = checks.positive("depth", depth), checks.whole("layers", layers, 1)
-    count, base = len(arrays.x), np.sort(arrays.cells, axis=1)
+    count, base = len(arrays.x), np.sort(arrays.cells, axis=1) if simplices else np.asarray(arrays.cells)
     step = count * np.arange(layers)[:, None, None, None]
-    a, b, c = base.T
-    cut = np.array([[a, b, c, c + count], [a, b, b + count, c + count], [a, a + count, b + count, c + count]])
-    cells = (cut.transpose(0, 2, 1) + step).reshape(-1, 4)
+    if simplices:
+        a, b, c = base.T
+        cut = np.array([[a, b, c, c + count], [a, b, b + count, c + count], [a, a + count, b + count, c + count]])
+    else:
+        cut = np.concatenate([base, base + count], axis=1).T[None]
+    cells = (cut.transpose(0, 2, 1) + step).reshape(-1, cut.shape[1])
     z = np.linspace(0.0, depth, layers + 1)
     x = np.column_stack([np.tile(arrays.x, (layers + 1, 1)), np.repeat(z, count)])
     facets = {}
     for name, rows in arrays.facets.items():
         a, b = np.sort(rows, axis=1).T
-        halves = np.array([[a, b, b + count], [a, a + count, b + count]])
-        facets[name] = (halves.transpose(0, 2, 1) + step).reshape(-1, 3)
+        halves = np.array(
+            [[a, b, b + count], [a, a + count, b + count]] if simplices else [[a, b, a + count, b + count]]
+        )
+        facets[name] = (halves.transpose(0, 2, 1) + step).reshape(-1, halves.shape[1])
     facets |= {"back": base, "front": base + layers * count}
-    first = len(base) * np.arange(3 * layers)[:, None]
+    first = len(base) * np.arange(len(cells) // len(base))[:, None]
     groups = {name: (first + group).ravel() for name, group in arrays.cell_groups.items()}
-    return MeshArrays("tetrahedron", cells, x, facets, groups)
+    return MeshArrays("tetrahedron" if simplices else "hexahedron", cells, x, facets, groups)

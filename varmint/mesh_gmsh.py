@@ -1,6 +1,7 @@
 """Meshes that gmsh makes on rank 0."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -8,12 +9,15 @@ import numpy as np
 from mpi4py import MPI
 
 from tigar_x import checks
-from varmint.mesh import NamedMesh
+from tigar_x.compat import FloatArray
+from varmint.mesh import CELLS, NamedMesh
 from varmint.mesh_arrays import distributed
 from varmint.mesh_checks import MeshArrays, extruded
 from varmint.mesh_elements import Elements
 from varmint.mesh_session import model_elements, session
 
+QUADRILATERALS = {"RecombineAll": 1, "RecombinationAlgorithm": 2, "Algorithm": 6}
+"""gmsh's options for a mesh of quadrilaterals alone; its other algorithm for such meshes (8) may crash."""
 GROWTH = 0.25
 """By how much cells grow per unit of length away from the cylinder."""
 
@@ -73,6 +77,8 @@ def channel_with_cylinder(
     beam: tuple[float, float] | None = None,
     rigid: bool = False,
     depth: float | None = None,
+    cell: str = "triangle",
+    equal_area: bool = False,
 ) -> NamedMesh:
     """Channel (0, length) x (0, height) with a cylinder across it, and a beam behind the cylinder if one is wanted.
 
@@ -92,7 +98,10 @@ def channel_with_cylinder(
         beam: length, from the rearmost point of the cylinder to its tip, and thickness; its root is an arc of the
             cylinder. None: no beam.
         rigid: whether the beam does not move: then it has no cells, and its surface is the group "beam".
-        depth: extent along the third axis, for tetrahedra over the triangles; None: a plane mesh.
+        depth: extent along the third axis, for tetrahedra or hexahedra over the plane cells; None: a plane mesh.
+        cell: "triangle" or "quadrilateral", in the plane.
+        equal_area: whether the polygon that stands for the cylinder has the area of the circle, instead of its vertices
+            on it. Those that are of a beam as well stay where they are.
 
     Returns:
         Mesh with the groups of facets "inlet", "outlet", "walls" and "cylinder", and with a depth "back" and "front".
@@ -100,12 +109,13 @@ def channel_with_cylinder(
         between the groups of cells "fluid" and "solid", or "beam" alone if it is rigid.
 
     Raises:
-        ValueError: a length that is not positive, cells that are to be larger at the cylinder or in the wake than
-            away, a cylinder or a beam that is not within the channel, a beam that is not thinner than the cylinder, or
-            a rigid beam that is none.
+        ValueError: another cell, a length that is not positive, cells that are to be larger at the cylinder or in the
+            wake than away, a cylinder or a beam that is not within the channel, a beam that is not thinner than the
+            cylinder, or a rigid beam that is none.
         RuntimeError: gmsh is in use.
     """
     x, y = _check_channel(length, height, center, radius, beam, depth)
+    quadrilaterals = checks.choice("cell", cell, CELLS[2]) == "quadrilateral"
     checks.positive("size", size)
     if checks.flag("rigid", rigid) and beam is None:
         raise ValueError("rigid = True with beam = None: a beam's length and thickness are required")
@@ -125,10 +135,35 @@ def channel_with_cylinder(
         with session() as gmsh:
             _build_channel(gmsh.model, (length, height), (x, y), radius, tip, rigid)
             set_sizes(gmsh, size, fields)
+            if quadrilaterals:
+                for option, value in QUADRILATERALS.items():
+                    gmsh.option.setNumber(f"Mesh.{option}", value)
             plane = model_elements(gmsh, 2, "the channel").arrays()
+        if equal_area:
+            plane = replace(plane, x=_with_equal_area(plane, np.array([x, y]), radius))
         return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size - 1e-9)))
 
     return distributed(comm, arrays)
+
+
+def _with_equal_area(plane: MeshArrays, center: FloatArray, radius: float) -> FloatArray:
+    """Coordinates with the vertices of the cylinder moved away from its center, but those that a beam has as well.
+
+    All chords together then have the area of their sectors. Those between two moved ends, one and none have the area
+    ``a f^2 + b f + c`` in the factor ``f`` of their ends' distance from the center.
+    """
+    chords = np.concatenate([plane.facets[name] for name in ("cylinder", "beam_root") if name in plane.facets])
+    moved = np.setdiff1d(chords, [plane.facets[name] for name in ("interface", "beam") if name in plane.facets])
+    away = plane.x - center
+    one, other = (away[chords[:, i]] for i in (0, 1))
+    areas = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2.0
+    sectors = np.arctan2(2.0 * areas, (one * other).sum(axis=1)).sum() * radius**2 / 2.0
+    ends = np.isin(chords, moved).sum(axis=1)
+    a, b, c = (areas[ends == count].sum() for count in (2, 1, 0))
+    factor = (np.sqrt(b**2 + 4.0 * a * (sectors - c)) - b) / (2.0 * a)
+    x = plane.x.copy()
+    x[moved] = center + factor * away[moved]
+    return x
 
 
 def _check_channel(
