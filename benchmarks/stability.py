@@ -151,10 +151,11 @@ def duct(
     elements: int | None = None,
     degree: int = 1,
     flexible: bool = False,
+    slip: bool = True,
     grad_div: float | None = None,
     **material: float,
 ) -> SimpleNamespace:
-    """Duct (0, 2) x (0, 1) with slip walls, loaded by a traction at its inflow, with a sheet across its middle.
+    """Duct (0, 2) x (0, 1) with walls, loaded by a traction at its inflow, with a sheet across its middle.
 
     Args:
         n: fluid cells across.
@@ -162,6 +163,7 @@ def duct(
         bow: height of its arc.
         elements: of the sheet; None: points half a fluid cell apart.
         flexible: whether only the ends of the sheet are fixed, or all of it.
+        slip: whether the fluid slips along the walls.
     """
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [[0.0, 0.0], [2.0, 1.0]], [2 * n, n], mesh.CellType.triangle)
     load = fem.Constant(domain, np.array([float(jump), 0.0]))
@@ -173,7 +175,10 @@ def duct(
         return loaded + stable_neumann(v, z, domain, outlet, rho=rho)
 
     def pins(V: Any) -> list[Any]:
-        return [compat.pin_component(V, 1, lambda x: np.isclose(x[1], 0.0) | np.isclose(x[1], 1.0))]
+        def walls(x: Any) -> Any:
+            return np.isclose(x[1], 0.0) | np.isclose(x[1], 1.0)
+
+        return [compat.pin_component(V, i, walls) for i in ((1,) if slip else (0, 1))]
 
     fluid = flow(domain, dt, rho_infinity, boundary, pins, rho=rho, mu=mu, grad_div=grad_div)
     line = shapes.line((place, 0.0), (place, 1.0), elements=elements or 2 * n // degree, degree=degree)

@@ -21,7 +21,8 @@ class Acceptance:
     A residual is small when it is below ``block_rtol`` times a reference or below a floor. The reference is the first
     residual or, unless the stopping is "published", the present coupling forces where these are smaller: the first
     residual alone may be dominated by data that change in time, such as walls with a strong penalty. A residual that
-    starts from nothing, as at rest, is referred to what the other block makes of it in the first pass.
+    starts from nothing, as at rest or in a uniform flow, is referred to what the other block makes of it in the first
+    pass.
 
     Args:
         options: tolerances and stopping rule.
@@ -35,13 +36,16 @@ class Acceptance:
         self._options = options
         self._published = options.stopping == "published"
         self._first = [0.0, 0.0]
+        self._floors: Pair = (0.0, 0.0)
         self.history: list[Pair] = []
         self.limits: Pair = (0.0, 0.0)
 
     def note(self, norm_f: float, norm_s: float) -> None:
-        """Take residuals into account as first ones, while the first pass lasts."""
-        if len(self.history) <= (0 if self._published else 1):
-            self._first = [max(old, new) for old, new in zip(self._first, (norm_f, norm_s), strict=True)]
+        """Take residuals into account as first ones, while the first pass lasts or those before were nothing."""
+        tests = len(self.history)
+        for i, norm in enumerate((norm_f, norm_s)):
+            if tests <= (0 if self._published else 1) or (tests == 1 and self._first[i] <= self._floors[i]):
+                self._first[i] = max(self._first[i], norm)
 
     def test(self, norms: Pair, coupling: Pair, floors: Callable[[], Pair]) -> bool:
         """Whether both residuals are small.
@@ -62,9 +66,8 @@ class Acceptance:
         self.limits = self._limit(0, coupling[0]), self._limit(1, coupling[1])
         if self._small(norms):
             return True
-        if self._options.block_atol > 0.0:
-            f, s = floors()
-            self.limits = max(self.limits[0], f), max(self.limits[1], s)
+        self._floors = floors()
+        self.limits = max(self.limits[0], self._floors[0]), max(self.limits[1], self._floors[1])
         for i, block in enumerate(BLOCKS):
             if norms[i] > self.limits[i] and self._ratio(i) > GROWTH_LIMIT:
                 raise RejectedStepError(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from coudalfish import ranks
 from coudalfish.levels import check_schemes
 from coudalfish.mesh_motion import check_levels
 from coudalfish.options import CouplingOptions, PenaltyRule
@@ -69,9 +70,10 @@ class CouDALFISh:
         self.timeInt_sh = shell.timeInt
         self.contactContext_sh = shell.contact
         self._check()
-        points = shell.quadrature.points
-        self.lam = np.broadcast_to(np.asarray(multiplier, dtype=np.float64), (len(points),)).copy()
-        checks.array("multiplier", self.lam, (len(points),))
+        points = len(shell.quadrature.points)
+        one = np.ndim(multiplier) == 0
+        given = np.full(points, checks.finite("multiplier", multiplier)) if one else multiplier
+        self.lam = checks.array("multiplier", given, (points,)).copy()
         self.locator = PointLocator(fluid.mesh)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(fluid, shell)
@@ -131,6 +133,7 @@ class CouDALFISh:
         Raises:
             StepError: the step was not accepted; fields, multiplier and clocks are those of the last good step.
         """
+        self._share()
         restore = self._save()
         try:
             report = self._attempt(restore)
@@ -142,6 +145,11 @@ class CouDALFISh:
         for integrator in self.integrators:
             integrator.advance()
         return report
+
+    def _share(self) -> None:
+        """Begin from one state on all ranks: their copies of the shell differ by rounding."""
+        shell = (function.x.array for function in self.timeInt_sh.state.values())
+        ranks.share(self.fluid.comm, *shell, self.lam)
 
     def _attempt(self, restore: Callable[[], None]) -> StepReport:
         """Run the step, and once more with caution when it does not converge; the first failure gives the diagnosis."""
@@ -161,14 +169,16 @@ class CouDALFISh:
 
     def _save(self) -> Callable[[], None]:
         """Remember what a step changes before it is accepted; the integrators' old states are not among it."""
-        fields = [integrator.x.x.array for integrator in self.integrators]
+        band = self.fluid.band
+        scales = () if band is None else (band.scale_m, band.scale_c)
+        fields = [function.x.array for function in (*(integrator.x for integrator in self.integrators), *scales)]
         saved = [array.copy() for array in fields]
-        lam = self.lam
+        lam, floors, cells = self.lam, self.floors, self.locator.cells
 
         def restore() -> None:
             for array, value in zip(fields, saved, strict=True):
                 array[:] = value
-            self.lam = lam
+            self.lam, self.floors, self.locator.cells = lam, floors, cells
             for integrator in self.integrators:
                 integrator.in_step = False
 

@@ -5,7 +5,7 @@ along the shell's normal and is a force per reference area: +lam n is what the f
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -67,6 +67,13 @@ def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, facto
     return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
 
 
+class Means(Protocol):
+    """A smoothing of values at points."""
+
+    def __matmul__(self, x: FloatArray) -> FloatArray:
+        """Smoothed values, shape (points,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class VertexMeans:
     """Smoothing of values at points over the vertices of the fluid's mesh, ``N (N^T W x / N^T W)``.
@@ -97,13 +104,14 @@ def updated_multiplier(
     *,
     penalty: float,
     relaxation: float,
-    means: VertexMeans | None = None,
+    means: Means | None = None,
 ) -> FloatArray:
     """Multiplier of the next step; inactive points keep theirs.
 
     It follows from ``lam* = lam + beta (u - y') . n`` as ``lam*/(1 + r)`` or, with means P, as
-    ``P lam* + (lam* - P lam*)/(1 + r)``. The latter damps what the fluid's mesh cannot resolve and keeps the force, so
-    that there is no net leak (compare the projection of Kamensky et al., doi:10.1016/j.camwa.2017.07.006).
+    ``P lam* + (lam* - P lam*)/(1 + r)``. The latter damps what the fluid's mesh cannot resolve and keeps what P keeps,
+    see :class:`coudalfish.multiplier.SheetMeans`, so that there is no net leak (compare the projection of Kamensky et
+    al., doi:10.1016/j.camwa.2017.07.006).
 
     Args:
         lam: multiplier of this step, shape (points,).

@@ -12,10 +12,10 @@ class Monitors:
     """Figures of one accepted step, at the time ``t_alpha`` of its report.
 
     Attributes:
-        normal_slip_rms: root mean square of (u - y').n over the active surface; unit: length/time.
+        normal_slip_rms: root mean square of (u - y').n over the active surface, by reference areas; unit: length/time.
         normal_slip_max: its largest absolute value.
-        leak: net volume through the surface per time, ``int (u - y').n``; positive along the normal; unit:
-            length^d/time.
+        leak: net volume through the surface per time, ``int (u - y').n`` over its present area; positive along the
+            normals of the patches as they are parametrised; unit: length^d/time.
         force: force of the fluid on the shell, components.
         force_imbalance: difference between the force taken from the fluid and the force given to the shell, relative
             to the sum of absolute point forces.
@@ -29,7 +29,14 @@ class Monitors:
 
 
 def measure(
-    slip: FloatArray, n: FloatArray, W: FloatArray, forces: FloatArray, on_fluid: FloatArray, on_shell: FloatArray
+    slip: FloatArray,
+    n: FloatArray,
+    W: FloatArray,
+    forces: FloatArray,
+    on_fluid: FloatArray,
+    on_shell: FloatArray,
+    *,
+    areas: FloatArray | None = None,
 ) -> Monitors:
     """Monitors from the arrays of a step.
 
@@ -40,6 +47,7 @@ def measure(
         forces: fluid on shell at the points, shape (points, d).
         on_fluid: sum over the nodes of the forces that the fluid received, shape (d,).
         on_shell: sum over the nodes of the physical forces that the shell received, shape (d,).
+        areas: present areas, zero at inactive points, shape (points,); None: W.
 
     Returns:
         The figures.
@@ -51,7 +59,7 @@ def measure(
     return Monitors(
         normal_slip_rms=float(np.sqrt((W * normal**2).sum() / area)) if area else 0.0,
         normal_slip_max=float(np.abs(normal).max(initial=0.0)),
-        leak=float((W * normal).sum()),
+        leak=float(((W if areas is None else areas) * normal).sum()),
         force=tuple(float(f) for f in on_shell),
         force_imbalance=imbalance / total if total else 0.0,
     )

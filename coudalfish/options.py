@@ -53,7 +53,7 @@ class CouplingOptions:
         block_rtol: accepted residual of each block relative to its first one in the step or, unless the stopping is
             "published", to the coupling forces in it where these are smaller.
         block_atol: accepted residual of each block relative to the size of the terms that balance in it, which is
-            independent of units; 0: only the relative test.
+            independent of units; 0: rounding alone.
         max_passes: passes after which an attempt has failed.
         acceleration: depth of the Anderson acceleration of the shell's iterates; 0: none.
         accelerate_after: passes without acceleration; those after it also use the consistent tangent.

@@ -83,5 +83,8 @@ class RejectedStepError(Exception):
     """
 
     def __init__(self, block: str, reason: str) -> None:
-        super().__init__(reason)
+        super().__init__(block, reason)  # both, so that other ranks can be sent a copy
         self.block = block
+
+    def __str__(self) -> str:
+        return str(self.args[1])

@@ -7,12 +7,15 @@ import numpy as np
 from dolfinx import fem
 
 from coudalfish.coupler import CouDALFISh
+from coudalfish.ranks import first
 from tigar_x.nodal import wave_sums
 from tigar_x.restart import Integrators
 from tigar_x.time_integration import TimeIntegrator
 
 SAME = 1e-9
 """Difference of the immersed points' wave sums within which two shells are the same one."""
+DIRECTIONS = np.array([1.0, 0.618])
+"""How parameters enter the wave sums as one number, which no exchange or reversal of them leaves alone."""
 
 
 class CoupledState:
@@ -49,10 +52,22 @@ class CoupledState:
         size = float(np.linalg.norm(np.ptp(x, axis=0)))
         return [size, *x.min(axis=0), *wave_sums((x - x.min(axis=0)) / size, len(x))]
 
+    def _parameters(self) -> list[float]:
+        """What tells in which directions the patches are parametrised, by which normals and the multiplier go."""
+        x, spline = self._fsi.shell.quadrature.points, self._fsi.spline_sh
+        xi = spline.scalar.V.tabulate_dof_coordinates()[:, : spline.dim]
+        low, size = xi.min(axis=0), np.ptp(xi, axis=0)
+        together = (
+            (x - x.min(axis=0)) / np.linalg.norm(np.ptp(x, axis=0)),
+            ((xi - low) / size) @ DIRECTIONS[: len(size)],
+        )
+        return wave_sums(np.column_stack(together), len(x))
+
     def record(self) -> dict[str, Any]:
         """Clocks, floors, and what tells the shell from others; the multiplier goes into its field."""
         self._multiplier.x.array[:] = self._fsi.lam
-        return {**self._integrators.record(), "floors": self._fsi.floors, "shape": self._shape()}
+        shell = {"shape": self._shape(), "parameters": self._parameters()}
+        return {**self._integrators.record(), "floors": self._fsi.floors, **shell}
 
     def check(self, record: Mapping[str, Any]) -> None:
         """Check that a record is that of this shell.
@@ -60,9 +75,14 @@ class CoupledState:
         Raises:
             ValueError: it is not.
         """
-        present = self._shape()
-        if not np.allclose(record["shape"], present, rtol=SAME, atol=SAME * present[0]):
+        shape, parameters = first(self._fsi.fluid.comm, (self._shape(), self._parameters()))
+        if not np.allclose(record["shape"], shape, rtol=SAME, atol=SAME * shape[0]):
             raise ValueError("the shell of the checkpoint has another shape than this one at the same parameters")
+        if not np.allclose(record.get("parameters", parameters), parameters, rtol=0.0, atol=SAME):
+            raise ValueError(
+                "the shell of the checkpoint is parametrised in other directions than this one, so that its values"
+                " would come to other places: the same patches are required"
+            )
 
     def resume(self, record: Mapping[str, Any]) -> None:
         """Take over the fields, which have been read, and the record."""

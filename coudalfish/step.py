@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from coudalfish import exchange
+from coudalfish import exchange, ranks
 from coudalfish.acceleration import Anderson
 from coudalfish.acceptance import Acceptance
+from coudalfish.floors import residual_floors
 from coudalfish.mesh_motion import MeshMotion, displacement_of_cells
 from coudalfish.monitors import Monitors, measure
+from coudalfish.multiplier import Multiplier
 from coudalfish.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.trace import trace_matrix
 from tigar_x.compat import FloatArray
@@ -39,6 +41,7 @@ class Step:
 
     def __init__(self, coupler: "CouDALFISh", *, cautious: bool = False) -> None:
         self.c = coupler
+        self.comm = coupler.fluid.comm
         self.fluid, self.shell, self.options = coupler.fluid, coupler.shell, coupler.options
         self.cautious = cautious
         if cautious:
@@ -72,6 +75,7 @@ class Step:
             side.timeInt.predict()
             for update in side.updates:
                 update(float(side.timeInt.t_alpha.value))
+        ranks.share(self.comm, self.shell.timeInt.x.x.array)
         self.fluid.system.apply_boundary_values()
 
     def _move(self, moving: MeshMotion) -> None:
@@ -85,20 +89,19 @@ class Step:
 
     def _place(self) -> None:
         """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
-        x = self.shell.positions()
+        x = ranks.first(self.comm, self.shell.positions())
         if not np.isfinite(x).all():
             raise RejectedStepError("shell", "the predicted positions are not finite")
         location = self.location = self.c.locator.locate(x)
-        self.active = location.active
         self.inactive = int((~location.active).sum())
         self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
         self.trace = trace_matrix(self.fluid.velocity_space, location)
-        self.means = None
-        if self.options.relaxation_mode == "smoothed":
-            self.means = exchange.VertexMeans(self.c.locator.vertex_functions(location), self.W)
         if self.fluid.band is not None:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
+        smoothed = self.options.relaxation_mode == "smoothed"
+        means = self.c.locator.vertex_functions(location) if smoothed else None
+        self.multiplier = Multiplier(self.c.lam, self.fluid, self.shell, self.trace, location.active, self.n, means)
         self.c.watch.placed(self, x)
 
     # -- block iteration ----------------------------------------------------------------------------------------------
@@ -140,7 +143,7 @@ class Step:
     @property
     def forces(self) -> FloatArray:
         """Fluid on shell at the points."""
-        return exchange.point_forces(self.u, self.y_dot, self.c.lam, self.n, self.W, penalty=self.beta)
+        return exchange.point_forces(self.u, self.y_dot, self.multiplier.acting, self.n, self.W, penalty=self.beta)
 
     def _fluid_residual(self) -> float:
         self.block = "fluid"
@@ -148,7 +151,7 @@ class Step:
 
     def _shell_residual(self) -> float:
         self.block = "shell"
-        return self._finite(self.shell.assemble_residual(self.forces))
+        return self._finite(ranks.agreed(self.comm, lambda: self.shell.assemble_residual(self.forces)))
 
     def _finite(self, norm: float) -> float:
         if not math.isfinite(norm):
@@ -166,11 +169,15 @@ class Step:
 
     def _solve_shell(self, fresh: bool) -> None:
         self.block = "shell"
+        y = self.shell.timeInt.x.x.array
+        ranks.agreed(self.comm, lambda: self._move_shell(y, fresh))
+        ranks.share(self.comm, y)
+
+    def _move_shell(self, y: FloatArray, fresh: bool) -> None:
         if fresh:
             self.shell.assemble_tangent(self.W, self.beta, positive=self.cautious)
         elif self.shell.touching is not None:
             self.shell.renew_contact()
-        y = self.shell.timeInt.x.x.array
         before = y.copy()
         self.shell.solve()
         if self.cautious:
@@ -182,40 +189,32 @@ class Step:
         self.block = "coupling"
         forces = self.forces
         coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
-        return self.acceptance.test((norm_f, norm_s), coupling, self._floors)
+        return self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
 
     def _floors(self) -> tuple[float, float]:
-        """Residuals below which nothing is left to solve for: a fraction of the terms that balance, and rounding.
-
-        They follow from the last tangent, so before the first solve those of the step before are good enough.
-        """
+        """See :func:`residual_floors`; before the first solve those of the step before are good enough."""
         if self.passes == 0 and self.c.floors is not None:
             return self.c.floors
-        part = np.abs(self.c.lam)[:, None] * np.abs(self.n) + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
-        magnitude = self.W[:, None] * part
-        scale_f = self.fluid.momentum_scale() + self.fluid.coupling_norm(self.trace, magnitude)
-        scale_s = self.shell.momentum_scale() + self.shell.coupling_norm(magnitude)
-        error = self.shell.rounding()
-        error_f = self.W[:, None] * self.beta * self.shell.timeInt.xdot_factor * error
-        atol = self.options.block_atol
-        floor_f = atol * scale_f + self.fluid.coupling_norm(self.trace, error_f)
-        self.c.floors = floor_f, atol * scale_s + self.shell.force_of(error)
+        pushed = np.abs(self.multiplier.acting)[:, None] * np.abs(self.n)
+        part = pushed + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
+        terms, stiffness = self.W[:, None] * part, self.W * self.beta * self.shell.timeInt.xdot_factor
+        state, atol = (self.fluid, self.shell, self.trace, terms, stiffness), self.options.block_atol
+        self.c.floors = residual_floors(*state, atol=atol, solved=self.passes > 0)
         return self.c.floors
 
     # -- end ----------------------------------------------------------------------------------------------------------
 
     def _finish(self) -> StepReport:
-        slip = self.u - self.y_dot
-        forces = self.forces
-        state = self.c.lam, self.u, self.y_dot, self.n, self.active
-        r = self.options.relaxation
-        lam = exchange.updated_multiplier(*state, penalty=self.beta, relaxation=r, means=self.means)
+        u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
+        forces = exchange.point_forces(u, y_dot, self.c.lam, n, W, penalty=self.beta)
+        lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
+        ranks.share(self.comm, lam)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
         on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
-        monitors = measure(slip, self.n, self.W, forces, on_fluid, forces.sum(axis=0))
-        self.c.lam = lam
-        report = self.report(monitors, self._contact())
+        areas, self.c.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
+        monitors = measure(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
+        report = ranks.first(self.comm, self.report(monitors, self._contact()))
         self.c.watch.finished(self, report)
         return report
 

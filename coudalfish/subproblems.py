@@ -14,10 +14,10 @@ from coudalfish.band import SurfaceBand
 from coudalfish.handover import check_band, check_needs, check_residual
 from coudalfish.mesh_motion import MeshMotion, check_displacement
 from coudalfish.scales import largest_speed, median_size
+from coudalfish.sheets import Normals, Sheets
 from coudalfish.trace import TraceMatrix
 from shnapr.contact import ContactForces, SelfContact
 from shnapr.contact_system import ContactSystem
-from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.linear import LinearSolver, automatic
@@ -54,6 +54,7 @@ class FluidSubproblem:
 
     Attributes:
         mesh_size: h, as given or the median over the cells of their shortest edges, at rest; unit: length.
+        free: mask of the velocities that no strong condition holds, shape (nodes, d).
         moving: as given.
 
     Raises:
@@ -106,7 +107,7 @@ class FluidSubproblem:
         self.system = FiniteElementSystem(
             residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one
         )
-        self._free = ~np.isin(self.velocity_dofs, self.system.constrained)
+        self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
         owned = self.system.b.getLocalSize()
         self._is_velocity = np.zeros(owned)
         self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
@@ -134,7 +135,7 @@ class FluidSubproblem:
             ``sqrt(|R_momentum|^2 + impedance^2 |R_continuity|^2)``; unit: force.
         """
         dofs = self.velocity_dofs[trace.nodes]
-        nodal = np.where(self._free[trace.nodes], trace.transposed @ forces, 0.0)
+        nodal = np.where(self.free[trace.nodes], trace.transposed @ forces, 0.0)
 
         def load(b: FloatArray) -> None:
             b[dofs] += nodal
@@ -170,7 +171,7 @@ class FluidSubproblem:
         """
 
         def add(A: PETSc.Mat) -> None:
-            for dofs, free in zip(self.velocity_dofs[trace.nodes].T, self._free[trace.nodes].T, strict=True):
+            for dofs, free in zip(self.velocity_dofs[trace.nodes].T, self.free[trace.nodes].T, strict=True):
                 K = penalty_tangent
                 if not free.all():
                     mask = sp.diags(free.astype(float))
@@ -224,6 +225,8 @@ class ShellSubproblem:
 
     Attributes:
         quadrature: the immersed points.
+        sheets: how they hang together.
+        normals: gives the normals at the intermediate level, shape (points, d).
         contact: as given.
 
     Raises:
@@ -254,11 +257,8 @@ class ShellSubproblem:
             if contact is None
             else ContactSystem(spline_sh, residual_sh, jacobian, contact, unknown=y, time=timeInt_sh, solver=solver)
         )
-        _, cells = compat.subcells(spline_sh.V)
-        self._edges = np.stack([cells, np.roll(cells, 1, axis=1)], axis=-1).reshape(-1, 2)
-        self._projector = spline_sh.lumped_projector
-        displacement = spline_sh.rationalize(timeInt_sh.x_alpha)
-        self._normal = self._projector.compile(midsurface(spline_sh, displacement).normal)
+        self.sheets = Sheets.of(spline_sh)
+        self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)
 
     def _physical(self, array: FloatArray) -> FloatArray:
         return array.reshape(-1, self.spline.nsd) / self.quadrature.rational[:, None]
@@ -271,10 +271,6 @@ class ShellSubproblem:
         """Velocity y'_alpha of the points, or that of the last state between steps, shape (points, d)."""
         time = self.timeInt
         return self._physical(time.xdot_alpha_array() if time.in_step else time.xdot_old.x.array)
-
-    def normals(self) -> FloatArray:
-        """Lumped projection of a_3 at the intermediate level, not renormalised, shape (points, d)."""
-        return self._projector(self._normal)
 
     def assemble_residual(self, forces: FloatArray) -> float:
         """Assemble the residual with the coupling forces.
@@ -359,4 +355,5 @@ class ShellSubproblem:
         Returns:
             Unit: length.
         """
-        return float(np.linalg.norm(x[self._edges[:, 0]] - x[self._edges[:, 1]], axis=1).max(initial=0.0))
+        a, b = self.sheets.edges.T
+        return float(np.linalg.norm(x[a] - x[b], axis=1).max(initial=0.0))

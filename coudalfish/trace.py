@@ -58,6 +58,10 @@ class PointLocator:
     Args:
         domain: fluid mesh of triangles or tetrahedra.
 
+    Attributes:
+        cells: this rank's cells of the points of the last call, -1 for others, which the next one tries first: on the
+            boundary between two cells they decide. None: there was no call, or it is to be forgotten.
+
     Raises:
         ValueError: another cell type, no cell, or a cell of zero size.
     """
@@ -72,7 +76,7 @@ class PointLocator:
         self._comm = domain.comm
         self._displaced: FloatArray | None = None
         self._tree: Any = None
-        self._previous: IntArray | None = None
+        self.cells: IntArray | None = None
         x = self._at_rest()
         edges = _edges(x)
         cubes = np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim
@@ -155,15 +159,15 @@ class PointLocator:
             The location.
         """
         cells = np.full(len(x), -1, dtype=np.int32)
-        if self._previous is not None and len(self._previous) == len(x):
-            known = np.flatnonzero(self._previous >= 0)
-            inside = self._barycentric(self._previous[known], x[known]).min(axis=1, initial=np.inf) >= -INSIDE
-            cells[known[inside]] = self._previous[known[inside]]
+        if self.cells is not None and len(self.cells) == len(x):
+            known = np.flatnonzero(self.cells >= 0)
+            inside = self._barycentric(self.cells[known], x[known]).min(axis=1, initial=np.inf) >= -INSIDE
+            cells[known[inside]] = self.cells[known[inside]]
         cells, active = self._claim(cells)
         missing = np.flatnonzero(~active)
         if len(missing):
             cells[missing], active[missing] = self._claim(self._search(x[missing]))
-        self._previous = cells
+        self.cells = cells
         barycentric = np.zeros((len(x), x.shape[1] + 1))
         mine = np.flatnonzero(cells >= 0)
         barycentric[mine] = self._barycentric(cells[mine], x[mine])

@@ -145,8 +145,8 @@ class Watch:
     def _warn_of_slip(self, step: "Step", speed: float) -> None:
         N = step.c.locator.vertex_functions(step.location)
         h, dt, beta = self._fluid.mesh_size, step.dt, step.beta
-        lam = smoothed(N, step.W, step.c.lam[:, None])
-        ratio = float(np.abs(lam).max(initial=0.0)) * dt / (beta * h)
+        lam = smoothed(N, step.W, step.c.lam[:, None] * step.n)
+        ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * dt / (beta * h)
         slip = smoothed(N, step.W, step.u - step.y_dot)
         moved = root_mean_square(step.W, step.y_dot)
         rest = self._rest(root_mean_square(step.W, lam), dt)

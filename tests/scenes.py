@@ -14,7 +14,7 @@ from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x import compat, shapes
 from tigar_x.linear import direct
-from tigar_x.multipatch import disjoint
+from tigar_x.multipatch import disjoint, glued
 from tigar_x.patch import Patch
 from tigar_x.quadrature import NodalQuadrature
 from tigar_x.spline import ExtractedSpline
@@ -54,6 +54,7 @@ def sheet_in_flow(
     weights=None,
     contact=None,
     held=False,
+    join=False,
 ):
     """Free elastic sheets in a box whose walls move with a uniform velocity; lengths scale with ``length``.
 
@@ -97,6 +98,7 @@ def sheet_in_flow(
         weights=weights,
         contact=contact,
         held=held,
+        join=join,
     )
     fsi = CouDALFISh(fluid, sheet.shell, CouplingOptions() if options is None else options)
     return SimpleNamespace(fsi=fsi, fluid=fluid, w=w, g=g, mu=c_mu, domain=domain, **vars(sheet))
@@ -116,6 +118,7 @@ def free_sheet(
     weights=None,
     contact=None,
     held=False,
+    join=False,
 ):
     """Straight elastic sheets without supports, each with a uniform velocity; ``contact`` makes it of the points."""
     lines = [
@@ -125,14 +128,14 @@ def free_sheet(
     if weights is not None:
         lines = [Patch.from_points(line.bases, line.points, weights(line.basis.n)) for line in lines]
     velocities = np.broadcast_to(np.asarray(velocity, dtype=float), (len(lines), 2))
-    patch = lines[0] if len(lines) == 1 else disjoint(*lines)
+    patch = lines[0] if len(lines) == 1 else (glued if join else disjoint)(*lines)
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=6, zero_dofs=fixed(patch) if held else ())
     y = spline.function(name="y")
     time = TimeIntegrator(
         y,
         dt,
         generalized_alpha(rho_infinity, 2, first_order_alpha_m=True),
-        xdot=spline.function(patch.weights[:, None] * np.repeat(velocities, lines[0].basis.n, axis=0)),
+        xdot=spline.function(patch.weights[:, None] * np.repeat(velocities, lines[0].basis.n, axis=0)[: patch.n]),
     )
     z = ufl.TestFunction(spline.V)
     E, h, c_rho_s = (fem.Constant(spline.mesh, float(x)) for x in (stiffness, thickness, rho_s))

@@ -299,6 +299,31 @@ def test_reference_options_are_the_published_algorithm():
     assert (options.fluid_tangent, options.normal, options.stopping) == ("lumped", "iterate", "published")
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"velocity": (0.0, 0.0), "traction": 1.0},
+        {"velocity": (0.0, 0.0), "sheet_velocity": (0.5, 0.0)},
+        {"velocity": (0.3, 0.2)},
+        {"velocity": (0.3, 0.2), "traction": 1.0},
+        {"velocity": (0.3, 0.2), "sheet_velocity": (0.0, 0.0)},
+        {"velocity": (0.0, 0.0)},
+    ],
+    ids=["loaded", "sheet moves", "all moves", "all moves and is loaded", "flow moves", "nothing moves"],
+)
+def test_the_published_algorithm_starts_from_rest_and_from_uniform_flow(settings):
+    """Where one residual, or both, begin with nothing but rounding; it comes to what the default gives."""
+    given = {"options": CouplingOptions(penalty=2.0, block_rtol=1e-8, normal="iterate", scale_c=1e-3)} | settings
+    exact, published = sheet_in_flow(**given), sheet_in_flow(**given)
+    published.fsi.options = replace(CouplingOptions.reference(), penalty=2.0)
+    for _ in range(3):
+        exact.fsi.takeStep()
+        assert published.fsi.takeStep().passes < 30
+    y, expected = published.y.x.array, exact.y.x.array
+    np.testing.assert_allclose(y, expected, rtol=0.0, atol=2e-3 * np.abs(expected).max() + 1e-12)
+
+
 def test_subproblems_must_fit():
     scene, other = sheet_in_flow(), sheet_in_flow(dt=0.05)
     with pytest.raises(ValueError, match=r"clocks \(t, dt\).*must be equal"):
@@ -308,8 +333,11 @@ def test_subproblems_must_fit():
     scene.fluid.density = None
     with pytest.raises(ValueError, match="penalty rule needs the fluid's density"):
         CouDALFISh(scene.fluid, scene.shell)
-    with pytest.raises(ValueError, match="multiplier"):
-        CouDALFISh(scene.fluid, scene.shell, CouplingOptions(penalty=1.0), multiplier=np.nan)
+    for multiplier in (np.nan, np.ones(3), np.ones((17, 2)), "much", None, np.full(17, np.inf)):
+        with pytest.raises(ValueError, match=r"^multiplier.*required"):
+            CouDALFISh(scene.fluid, scene.shell, CouplingOptions(penalty=1.0), multiplier=multiplier)
+    start = CouDALFISh(scene.fluid, scene.shell, CouplingOptions(penalty=1.0), multiplier=np.arange(17))
+    np.testing.assert_array_equal(start.lam, np.arange(17.0))
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from tigar_x import checks, compat, rounding
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.kept import KeptMatrix
 from tigar_x.line_search import LineSearch, search
 from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, direct
 from tigar_x.low_rank import LowRank, RankOne
@@ -108,6 +109,7 @@ class FiniteElementSystem:
         self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
         self._before = tuple(before)
         self._resolution = resolution
+        self._kept = KeptMatrix(self.A)
 
     def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
         """Of the tangent and of its transpose, attached to it."""
@@ -153,6 +155,7 @@ class FiniteElementSystem:
         Args:
             add: adds further contributions by local indices; must leave rows and columns of constrained dofs alone.
         """
+        self._kept.replacing()
         compat.assemble_matrix(self.A, self._tangent, self.bcs)
         if add is not None:
             self.A.assemble()
@@ -161,6 +164,19 @@ class FiniteElementSystem:
         self.has_tangent = True
         if self._low_rank is not None:
             self._low_rank.forget()
+
+    def remember_tangent(self) -> Callable[[], None]:
+        """Remember the present tangent; the result brings it back. For steps that keep tangents and may fail."""
+        had = self.has_tangent
+        self._kept.remember(had)
+
+        def bring_back() -> None:
+            self._kept.bring_back()
+            self.has_tangent = had
+            if self._low_rank is not None:
+                self._low_rank.forget()
+
+        return bring_back
 
     def solve(self, reference: float | None = None) -> PETSc.Vec:
         """Solve for the increment.

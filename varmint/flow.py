@@ -316,6 +316,7 @@ class Flow:
         if time is None:
             raise ValueError("dt = None: a steady flow has no steps")
         check_clock(time, self.moving)
+        t, bring_back = float(time.t.value), self.system.remember_tangent()
         try:
             time.predict()
             if self.moving is not None:
@@ -330,12 +331,11 @@ class Flow:
                 self.moving.check()
             measured = None if measure is None else measure()
         except Exception as error:
-            time.restore()
-            if self.moving is not None:
-                self.moving.time.restore()
+            bring_back()
+            for clock in (time, *(() if self.moving is None else (self.moving.time,))):
+                clock.restore()
             if not isinstance(error, SolveError):
                 raise
-            t = float(time.t.value)
             raise FlowError(f"the step to t = {t:.6g} (dt = {time.step_size:.3g}) failed: {error}", t) from error
         t_alpha, linear = float(time.t_alpha.value), sum(done.linear_iterations)
         for integrator in (time,) if self.moving is None else (time, self.moving.time):

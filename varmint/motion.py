@@ -223,14 +223,23 @@ class ElasticMotion(MeshMotion):
         residual = mesh_residual(u, ufl.TestFunction(V), domain, dx, size=size, **exponents)
         self._system = FiniteElementSystem(residual, u, [fixed], solver=direct() if solver is None else solver)
         self._reference = 0.0
+        self._began_at: float | None = None
+        self._bring_back = self._system.remember_tangent()
 
     def _unblocked(self, nodes: IntArray) -> IntArray:
         d = self.mesh.domain.geometry.dim
         return (d * nodes[:, None] + np.arange(d)).ravel()
 
     def begin(self) -> None:
-        """A new step, whose largest residual so far is the reference of all that follow."""
+        """A new step, whose largest residual so far is the reference of all that follow.
+
+        One from the same time as the last repeats a step that failed, whose tangents are forgotten.
+        """
         self._reference = 0.0
+        if self._began_at == self.time.time:
+            self._bring_back()
+        self._began_at = self.time.time
+        self._bring_back = self._system.remember_tangent()
 
     def move(self) -> None:
         """Displace boundaries with data to the end of the step, and all other nodes along with them.
