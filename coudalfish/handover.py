@@ -5,13 +5,14 @@ pressures of outlets, a mesh that moves. Forgotten, they stay what they were, an
 everything that can be known of the residual is asked: what it is built of, and what its integrator says it needs.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import ufl
 from mpi4py import MPI
-from dolfinx import mesh
+from dolfinx import fem, mesh
 
 from coudalfish.band import BandScale, SurfaceBand
 from coudalfish.mesh_motion import MeshMotion
@@ -51,6 +52,14 @@ class Needs(Protocol):
     @property
     def is_closed(self) -> bool:
         """Whether a constant of its pressure remains."""
+
+    @property
+    def rho(self) -> fem.Constant:
+        """Density."""
+
+    @property
+    def mu(self) -> fem.Constant:
+        """Viscosity."""
 
 
 @runtime_checkable
@@ -116,6 +125,8 @@ def check_needs(
     rank_one: Sequence[RankOne],
     moving: MeshMotion | None,
     solver: LinearSolver | None,
+    density: float | None,
+    viscosity: float | None,
 ) -> None:
     """Check that a flow's residual comes with all that the flow needs (collective).
 
@@ -127,9 +138,11 @@ def check_needs(
         rank_one: see there.
         moving: see there.
         solver: see there.
+        density: see there.
+        viscosity: see there.
 
     Raises:
-        ValueError: something was left behind.
+        ValueError: something was left behind, or is that of another flow.
     """
     if not isinstance(timeInt, Demanding):
         return
@@ -150,6 +163,12 @@ def check_needs(
             f"solver = None: the flow's options chose {needs.solver.name!r}, solver=flow.options.solver or another one"
             " is required"
         )
+    for name, value, constant in (("density", density, needs.rho), ("viscosity", viscosity, needs.mu)):
+        known = float(constant.value)
+        if value is not None and not math.isclose(value, known, rel_tol=1e-9):
+            raise ValueError(
+                f"{name} = {value}: that of the flow, {known}, is required, or none without a penalty rule"
+            )
     _check_conditions(timeInt, needs, compat.constrained_dofs(tuple(bcs)))
 
 

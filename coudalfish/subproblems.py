@@ -48,8 +48,8 @@ class FluidSubproblem:
         updates: called with t_alpha at the start of every step, for data that are not UFL expressions in time.
         before: called before every assembly of the residual, see :class:`tigar_x.solve.FiniteElementSystem`.
         rank_one: loads whose tangent is dense, see there.
-        density: rho, needed by a penalty rule; unit: mass/volume.
-        viscosity: mu, needed by a penalty rule.
+        density: rho, that of the residual, needed by a penalty rule; unit: mass/volume.
+        viscosity: mu, likewise.
         mesh_size: size h of the cells near the surface, for a penalty rule and for warnings; None: see below.
 
     Attributes:
@@ -96,7 +96,7 @@ class FluidSubproblem:
         check_residual(residual_f, timeInt_f, mesh_f)
         check_band(residual_f, band)
         hooks: Any = {"updates": updates, "before": before, "rank_one": rank_one, "bcs": bcs}
-        check_needs(timeInt_f, moving=moving, solver=solver, **hooks)
+        check_needs(timeInt_f, moving=moving, solver=solver, density=density, viscosity=viscosity, **hooks)
         components = [compat.component_space(V, i) for i in range(d)]
         self.velocity_space = components[0][0]
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])

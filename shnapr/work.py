@@ -23,6 +23,7 @@ import ufl
 
 from shnapr.kinematics import Midsurface, midsurface
 from shnapr.smoothness import require_bending
+from tigar_x import compat
 from tigar_x.spline import ExtractedSpline
 
 
@@ -67,9 +68,13 @@ def virtual_work(spline: ExtractedSpline, energy: Callable[[Any], ufl.Form], y: 
 
     Returns:
         Residual form dW(y)[z].
+
+    Raises:
+        ValueError: the energy treats UFL expressions as numbers.
     """
     placeholder = ufl.Coefficient(spline.V)
-    return ufl.replace(ufl.derivative(energy(placeholder), placeholder, z), {placeholder: y})
+    W = compat.ask("energy", energy, placeholder, passing=(ValueError,))
+    return ufl.replace(ufl.derivative(W, placeholder, z), {placeholder: y})
 
 
 def internal_work(spline: ExtractedSpline, material: Material, y: Any, z: Any) -> ufl.Form:

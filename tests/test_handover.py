@@ -145,6 +145,17 @@ def test_the_pressure_of_an_enclosed_flow_must_be_pinned(options):
         handed_over(flow, bcs=bcs)
 
 
+@pytest.mark.parametrize(("name", "known"), [("density", 1.0), ("viscosity", 0.1)])
+def test_density_and_viscosity_are_those_of_the_flow(name, known):
+    flow = open_flow()
+    for value in (None, known, known * (1.0 + 1e-14)):
+        handed_over(flow, **{name: value})
+    with pytest.raises(ValueError, match=rf"^{name} = 0.5: that of the flow, {known}, is required"):
+        handed_over(flow, **{name: 0.5})
+    (flow.rho if name == "density" else flow.mu).value = 0.5
+    handed_over(flow, **{name: 0.5})
+
+
 def test_forgotten_boundary_conditions_are_asked_for():
     with pytest.raises(ValueError, match=r"^bcs leaves out strong conditions of the flow: bcs=flow.bcs is required"):
         handed_over(open_flow(), bcs=open_flow().bcs[:1])

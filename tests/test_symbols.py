@@ -5,12 +5,14 @@ import signal
 
 import numpy as np
 import pytest
+import splines
 import ufl
 from mpi4py import MPI
 from dolfinx import fem
 from ufl.core.expr import Expr
 
 from shnapr.hyperelastic import Hyperelastic
+from shnapr.work import virtual_work
 from tigar_x import compat
 from tigar_x.time_integration import backward_euler
 from varmint.conditions import Traction, Velocity, WeakVelocity
@@ -84,6 +86,62 @@ def test_nor_of_strains():
     x = ufl.SpatialCoordinate(MESH.domain)
     with pytest.raises(ValueError, match=r"^psi: the function that was given ends with TypeError"):
         material._energy(ufl.as_matrix([[x[0], 0], [0, x[1]]]))
+
+
+def test_nor_of_displacements():
+    spline = splines.spline("parallelogram")
+    y, z = spline.function(), ufl.TestFunction(spline.V)
+    with pytest.raises(ValueError, match=r"^energy: the function that was given ends with TypeError"):
+        virtual_work(spline, lambda u: math.sqrt(u[0]) * spline.dx, y, z)
+
+
+def own(message):
+    raise ValueError(message)
+
+
+def test_words_of_an_energy_are_kept():
+    spline = splines.spline("parallelogram")
+    with pytest.raises(ValueError, match=r"^degree = 1$"):
+        virtual_work(spline, lambda u: own("degree = 1"), spline.function(), ufl.TestFunction(spline.V))
+
+
+NUMBERS = {
+    "sine": lambda t: math.sin(t),
+    "sine of a product": lambda t: math.sin(2 * t),
+    "of a quotient": lambda t: math.exp(-(t - 1.0) / t),
+    "power": lambda t: math.cos(t**2),
+    "float": lambda t: float(t),
+    "rounded": lambda t: round(t),
+    "complex": lambda t: complex(t),
+    "numpy": lambda t: np.sin(t),
+    "interpolated": lambda t: np.interp(t, [0.0, 1.0], [0.0, 1.0]),
+    "of a sine": lambda t: float(ufl.sin(t)),
+}
+
+
+@pytest.mark.parametrize("number", NUMBERS.values(), ids=NUMBERS)
+@pytest.mark.parametrize("name", ["t", "t_alpha", "dt"])
+def test_nor_of_the_clock_wherever_that_is_written(name, number, caplog):
+    with pytest.raises((TypeError, ValueError)) as caught:
+        number(getattr(flow().time, name))
+    numpy = "ufunc" in str(caught.value) or "array element" in str(caught.value)
+    assert numpy or "ufl.sin(t) in place of math.sin(t)" in str(caught.value) + caplog.text
+
+
+def test_constants_of_the_library_are_those_of_dolfinx_in_forms():
+    def signatures(of):
+        u, c = fem.Function(V), of(MESH.domain, 2.0)
+        form = c * u**2 * v * ufl.dx + of(MESH.domain, np.array([1.0, 2.0]))[1] * v * ufl.ds
+        return [f.signature() for f in (form, ufl.derivative(form, u), ufl.replace(form, {u: c * u}))]
+
+    V = compat.lagrange_space(MESH.domain, 1)
+    v = ufl.TestFunction(V)
+    assert signatures(compat.Constant) == signatures(fem.Constant)
+    c = compat.Constant(MESH.domain, 2.0)
+    assert isinstance(c, fem.Constant)
+    assert (2 * c)((), {c: 3.0}) == 6.0  # where a number is given, expressions have one
+    c.value = 4.0
+    assert float(c.value) == 4.0
 
 
 def test_what_is_meant_is_kept():

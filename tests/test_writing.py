@@ -183,6 +183,32 @@ def test_a_script_that_fails_on_one_rank_ends_on_all(rank, limit, message, tmp_p
     assert f"rank {rank} of 2 ends the run" in done.stderr
 
 
+LEAVING = """
+import sys
+from mpi4py import MPI
+from tigar_x import script
+
+def main(rank: int = 0, code: str = ""):
+    if rank in (MPI.COMM_WORLD.rank, -1):
+        sys.exit(int(code) if code.isdigit() else code)
+    MPI.COMM_WORLD.Barrier()
+
+script.command_line(main)
+"""
+
+
+@pytest.mark.skipif(WORLD.size > 1 or MPIRUN is None, reason="starts ranks of its own")
+def test_a_script_that_leaves_on_one_rank_ends_on_all(tmp_path):
+    (tmp_path / "leaving.py").write_text(LEAVING)
+    done = mpirun(2, tmp_path / "leaving.py", "--rank", 1, "--code", "something only here", timeout=60)
+    assert done.returncode != 0
+    assert "something only here\n" in done.stderr
+    assert "rank 1 of 2 ends the run: SystemExit" in done.stderr
+    done = mpirun(2, tmp_path / "leaving.py", "--rank", -1, "--code", "3", timeout=60)
+    assert done.returncode == 3
+    assert "ends the run" not in done.stderr
+
+
 # -- files that are replaced ------------------------------------------------------------------------------------------
 
 

@@ -23,11 +23,11 @@ import numpy as np
 import scipy
 import ufl
 from mpi4py import MPI
-from dolfinx import fem, mesh
+from dolfinx import mesh
 from petsc4py import PETSc
 
 from tigar_x import compat
-from tigar_x.writing import on_root, replace_text, together
+from tigar_x.writing import all_come, on_root, replace_text, together
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +35,8 @@ log = logging.getLogger(__name__)
 def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -> Any:
     """Run ``main`` with the options of the command line; its signature says which there are.
 
-    What ``main`` raises on one of several ranks ends them all, see :func:`abort_on_error`.
+    What ``main`` raises on one of several ranks ends them all, see :func:`abort_on_error`; so does ``sys.exit`` with an
+    error that not all ranks come to.
 
     Parameters become ``--options`` with their default and annotation (int, float, str, bool, Path, Literal, optional
     ones of these); help is taken from the ``Args`` section of its docstring. A boolean gets a ``--no-`` form.
@@ -65,7 +66,14 @@ def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -
         parser.add_argument("--" + name.replace("_", "-"), **options)
     set_up_logging()
     abort_on_error()
-    return main(**vars(parser.parse_args(arguments)))
+    given = parser.parse_args(arguments)
+    try:
+        return main(**vars(given))
+    except SystemExit as end:  # no excepthook sees it
+        if end.code and MPI.COMM_WORLD.size > 1 and not all_come(MPI.COMM_WORLD):
+            told = f"{end.code}\n"
+            _abort(lambda *_: sys.stderr.write(told), SystemExit, end, None)
+        raise
 
 
 def abort_on_error() -> None:
@@ -134,7 +142,7 @@ def constants(domain: mesh.Mesh, data: Any) -> types.SimpleNamespace:
     Returns:
         Constants under the names of the numbers.
     """
-    return types.SimpleNamespace(**{name: fem.Constant(domain, float(value)) for name, value in vars(data).items()})
+    return types.SimpleNamespace(**{name: compat.Constant(domain, float(value)) for name, value in vars(data).items()})
 
 
 class Termination:

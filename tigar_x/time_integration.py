@@ -171,11 +171,11 @@ class TimeIntegrator:
         self.in_step = False
 
         names = ("alpha_f", "alpha_m", "a0", "a1", "a2", "b0", "b1")
-        self._c = {name: fem.Constant(V.mesh, float(getattr(scheme, name))) for name in names}
+        self._c = {name: compat.Constant(V.mesh, float(getattr(scheme, name))) for name in names}
         self._t_n = checks.finite("t", t)
-        self.dt = fem.Constant(V.mesh, checks.positive("dt", dt))
-        self.t = fem.Constant(V.mesh, self._t_n)
-        self.t_alpha = fem.Constant(V.mesh, self._t_n)
+        self.dt = compat.Constant(V.mesh, checks.positive("dt", dt))
+        self.t = compat.Constant(V.mesh, self._t_n)
+        self.t_alpha = compat.Constant(V.mesh, self._t_n)
         self._set_clock()
 
     def _set_clock(self) -> None:
@@ -403,7 +403,7 @@ class LoadStepper:
         self.x = x
         self._dt = checks.positive("dt", dt)
         self._t_n = checks.finite("t", t)
-        self.t = fem.Constant(x.function_space.mesh, self._t_n + self._dt)
+        self.t = compat.Constant(x.function_space.mesh, self._t_n + self._dt)
 
     @property
     def time(self) -> float:

@@ -135,12 +135,12 @@ class OutletPressure:
         domain, motion, ds = f.mesh.domain, f.motion, f.ds(condition.groups)
         n = ale.normal(domain, motion)
         self._condition, self.groups = condition, condition.groups
-        self.pressure = fem.Constant(domain, float(condition.pressure))
+        self.pressure = compat.Constant(domain, float(condition.pressure))
         self._rate = ale.per_area(ufl.dot(f.v, n), domain, motion) * ds
         self._compiled: Any = None
         level = 1.0 if flow.time is None else flow.time.x_factor
         self.load = ale.per_area(ufl.dot(f.w, n), domain, motion) * ds
-        self.slope = fem.Constant(domain, condition.resistance * level) * self.load
+        self.slope = compat.Constant(domain, condition.resistance * level) * self.load
 
     def flow_rate(self) -> float:
         """Flow rate at the present state, in a step that of its equations (collective); unit: volume/time."""
@@ -165,6 +165,8 @@ class Needs:
         moving: motion of the mesh; None: it is fixed.
         solver: linear solver that was chosen for it; None: none was.
         is_closed: whether a constant of its pressure remains.
+        rho: density.
+        mu: viscosity.
     """
 
     updates: tuple[Callable[[float], None], ...]
@@ -174,6 +176,8 @@ class Needs:
     moving: PrescribedMotion | ElasticMotion | None
     solver: LinearSolver | None
     is_closed: bool
+    rho: fem.Constant
+    mu: fem.Constant
 
 
 class FlowTime(TimeIntegrator):

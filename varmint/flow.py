@@ -100,12 +100,12 @@ class Flow:
         check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving
         self.rho, self.mu = (
-            value if isinstance(value, fem.Constant) else fem.Constant(domain, float(value)) for value in (rho, mu)
+            value if isinstance(value, fem.Constant) else compat.Constant(domain, float(value)) for value in (rho, mu)
         )
         self.V = equal_order_space(domain, degree)
         self.w = fem.Function(self.V, name="w")
         self.time: FlowTime | None = None
-        level, rate, t, t_alpha = self.w, None, fem.Constant(domain, 0.0), None
+        level, rate, t, t_alpha = self.w, None, compat.Constant(domain, 0.0), None
         if dt is not None:
             self.time = FlowTime(self.w, dt, scheme, algebraic=(d,))
             level, rate, t, t_alpha = self.time.x_alpha, split(self.time.xdot_alpha)[0], self.time.t, self.time.t_alpha
@@ -129,7 +129,7 @@ class Flow:
         self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
         if self.time is not None:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
-            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed)
+            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu)
 
     # -- forms --------------------------------------------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class Flow:
         f, o = self.fields, self.options
         dt: Any = None
         if self.time is not None:
-            dt = self.time.dt if o.tau_dt is None else fem.Constant(self.mesh.domain, float(o.tau_dt))
+            dt = self.time.dt if o.tau_dt is None else compat.Constant(self.mesh.domain, float(o.tau_dt))
         return interior_residual(
             f.v, f.p, f.w, f.q, self.mesh.domain, rho=self.rho, mu=self.mu, degree=self.degree, dt=dt, C_I=o.C_I,
             C_t=o.C_t, motion=f.motion, invariant=o.invariant_metric, v_tau=v_tau,
@@ -277,7 +277,7 @@ class Flow:
         x = ufl.SpatialCoordinate(domain)
         if self.moving is not None:
             x = x + self.moving.time.x_old
-        t = fem.Constant(domain, 0.0 if self.time is None else self.time.time)
+        t = compat.Constant(domain, 0.0 if self.time is None else self.time.time)
         u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
         components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
         checks.parameter("pressure", 0.0 if p is None else p, checks.finite)

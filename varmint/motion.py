@@ -216,9 +216,9 @@ class ElasticMotion(MeshMotion):
             raise ValueError("displacements is empty: at least one facet group has to be held or moved")
         fixed = compat.fixed_nodes(V, np.unique(np.concatenate(held)))
         dx = mesh.dx(degree=2 * degree)  # also where all nodes are held, whose rows would else be empty
-        one, volume = fem.Constant(domain, 1.0), abs(ufl.JacobianDeterminant(domain))
+        one, volume = compat.Constant(domain, 1.0), abs(ufl.JacobianDeterminant(domain))
         sums = [compat.assemble_scalar(form) for form in compat.compile_forms(volume * dx, one * dx)]
-        size = fem.Constant(domain, sums[0] / sums[1])
+        size = compat.Constant(domain, sums[0] / sums[1])
         self._length = (sums[0] / sums[1]) ** (1.0 / domain.geometry.dim)
         residual = mesh_residual(u, ufl.TestFunction(V), domain, dx, size=size, **exponents)
         self._system = FiniteElementSystem(residual, u, [fixed], solver=direct() if solver is None else solver)

@@ -66,7 +66,7 @@ def area(flow: Flow, *names: str) -> ufl.Form:
         names: facet groups.
     """
     domain = flow.mesh.domain
-    one = fem.Constant(domain, 1.0)
+    one = compat.Constant(domain, 1.0)
     return ale.per_area(one, domain, flow.fields.motion_end) * flow.mesh.ds(*names, degree=flow.fields.degree)
 
 
@@ -76,7 +76,7 @@ def volume(flow: Flow) -> ufl.Form:
     Args:
         flow: the flow.
     """
-    return _in_fluid(flow, fem.Constant(flow.mesh.domain, 1.0))
+    return _in_fluid(flow, compat.Constant(flow.mesh.domain, 1.0))
 
 
 def kinetic_energy(flow: Flow) -> ufl.Form:

@@ -62,7 +62,7 @@ from tigar_x.compat.spaces import (
     tabulate,
     tabulate_gradients,
 )
-from tigar_x.compat.symbols import ask
+from tigar_x.compat.symbols import Constant, ask
 
 __all__ = [
     "VERSION",
@@ -85,6 +85,7 @@ __all__ = [
     "subcells",
     "tabulate",
     "tabulate_gradients",
+    "Constant",
     "ask",
     "bounding_box_tree",
     "candidate_cells",

@@ -1,5 +1,6 @@
-"""Users' functions of UFL expressions, which are asked once for an expression and not for numbers."""
+"""Symbols that stand for numbers, and users' functions of them, which are asked once for an expression."""
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,6 +11,8 @@ from ufl.core.expr import Expr
 
 from tigar_x.compat.release import VERSION
 
+log = logging.getLogger(__name__)
+
 _OF_UFL: tuple[type[Exception], ...] = (TypeError, ValueError, AttributeError)
 if VERSION < (0, 9):
     _OF_UFL += (ufl.log.UFLException,)
@@ -17,6 +20,32 @@ if VERSION < (0, 9):
 
 def _refuse(self: Any, *_: Any) -> Any:
     raise TypeError(f"{self} is an expression without a value, of which no number can be made")
+
+
+class Constant(fem.Constant):
+    """A number of a form that may change, of which Python makes no number unless ``.value`` asks for it.
+
+    In UFL and dolfinx it is a Constant as any other. Their own is evaluated for ever by ``math.sin(t)`` (UFL 2022), or
+    gives the value of the moment, which the form then keeps for good.
+    """
+
+    def __float__(self) -> float:
+        raise TypeError(
+            f"{self} stands for a number that may change: ufl.sin(t) in place of math.sin(t), numpy.sin(t) or the like"
+            " is required in forms; t.value is the number of the moment"
+        )
+
+    __complex__ = __round__ = __float__
+
+    def evaluate(self, x: Any, mapping: Any, *others: Any, **options: Any) -> Any:
+        """UFL's evaluation of expressions; what they contain has to be given numbers by the mapping."""
+        if self in mapping:
+            return super().evaluate(x, mapping, *others, **options)
+        try:
+            return float(self)
+        except TypeError as error:
+            log.error("%s", error)  # UFL replaces the error by one without words
+            raise
 
 
 @contextmanager
@@ -36,13 +65,14 @@ def _without_values() -> Iterator[None]:
             setattr(owner, name, method)
 
 
-def ask(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+def ask(name: str, function: Callable[..., Any], *arguments: Any, passing: tuple[type[Exception], ...] = ()) -> Any:
     """What a user's function makes of UFL expressions.
 
     Args:
         name: what messages call it.
         function: the function.
         arguments: UFL expressions.
+        passing: errors that are the function's own and tell enough.
 
     Raises:
         ValueError: it has treated them as numbers.
@@ -50,6 +80,8 @@ def ask(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
     try:
         with _without_values():
             return function(*arguments)
+    except passing:
+        raise
     except _OF_UFL as error:
         raise ValueError(
             f"{name}: the function that was given ends with {type(error).__name__}: {error}. It is asked for a UFL"
