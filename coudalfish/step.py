@@ -5,9 +5,11 @@ The steps of Kamensky, doi:10.1016/j.camwa.2020.01.023, with convergence tested 
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.sparse as sp
 from mpi4py import MPI
 
 from coudalfish import exchange, ranks
@@ -99,10 +101,14 @@ class Step:
         if self.fluid.band is not None:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
-        smoothed = self.options.relaxation_mode == "smoothed"
-        means = self.c.locator.vertex_functions(location) if smoothed else None
+        means = self.vertex_functions if self.options.relaxation_mode == "smoothed" else None
         self.multiplier = Multiplier(self.c.lam, self.fluid, self.shell, self.trace, location.active, self.n, means)
         self.c.watch.placed(self, x)
+
+    @cached_property
+    def vertex_functions(self) -> sp.csr_matrix:
+        """Linear functions of the fluid mesh's vertices at the points, made where something asks (collective)."""
+        return self.c.locator.vertex_functions(self.location)
 
     # -- block iteration ----------------------------------------------------------------------------------------------
 

@@ -173,6 +173,11 @@ class PointLocator:
         barycentric[mine] = self._barycentric(cells[mine], x[mine])
         return Location(cells, barycentric, active)
 
+    @cached_property
+    def _numbers(self) -> Any:
+        """Names of the mesh's vertices that all ranks share."""
+        return compat.input_numbers(self._mesh)[1]
+
     def vertex_functions(self, location: Location) -> sp.csr_matrix:
         """Linear functions of the mesh's vertices at points, the same on every rank (collective).
 
@@ -185,8 +190,7 @@ class PointLocator:
         """
         mine = np.flatnonzero(location.owned)
         vertices = np.full(location.barycentric.shape, -1, dtype=np.int64)
-        _, numbers = compat.input_numbers(self._mesh)
-        vertices[mine] = numbers[compat.cell_nodes(self._mesh)[location.cells[mine]]]
+        vertices[mine] = self._numbers[compat.cell_nodes(self._mesh)[location.cells[mine]]]
         values = location.barycentric
         if self._comm.size > 1:
             found, total = np.empty_like(vertices), np.empty_like(values)

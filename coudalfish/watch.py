@@ -143,11 +143,10 @@ class Watch:
             self._warn_of_contact(step, report.t, report.contact.closing_ratio)
 
     def _warn_of_slip(self, step: "Step", speed: float) -> None:
-        N = step.c.locator.vertex_functions(step.location)
         h, dt, beta = self._fluid.mesh_size, step.dt, step.beta
-        lam = smoothed(N, step.W, step.c.lam[:, None] * step.n)
+        both = np.hstack([step.c.lam[:, None] * step.n, step.u - step.y_dot])
+        lam, slip = np.hsplit(smoothed(step.vertex_functions, step.W, both), 2)
         ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * dt / (beta * h)
-        slip = smoothed(N, step.W, step.u - step.y_dot)
         moved = root_mean_square(step.W, step.y_dot)
         rest = self._rest(root_mean_square(step.W, lam), dt)
         now = self._slip.add(slip, step.n, step.W, max(speed, moved, rest))
