@@ -403,6 +403,28 @@ def test_traction_and_pressure_behind_an_outlet():
 
 
 @pytest.mark.mpi
+def test_an_outlet_on_a_moving_mesh_is_where_it_lies_at_the_level_of_the_equations():
+    """The right side tilts to x = 1 + tilt y: its area times its normal is (1, -tilt)."""
+    mesh = square()
+    moving = Moving(mesh)
+    flow = flow_with(Resistance("right", 4.0, 0.5, gamma=0.0), mesh=mesh, moving=moving)
+    turned = np.array([1.0, -moving.rate * DT * moving.scheme.alpha_f])
+    velocity = np.array([3.0, 1.0])
+    compat.interpolate(flow.w, ufl.as_vector([*velocity, 0.0]))
+    flow.time.x_old.x.array[:] = flow.w.x.array
+    (outlet,) = flow.rank_one
+    assert outlet.flow_rate() == pytest.approx(velocity @ turned, rel=1e-13)
+    outlet.update()
+    pressure = 0.5 + 4.0 * (velocity @ turned)
+    assert float(outlet.pressure.value) == pytest.approx(pressure, rel=1e-13)
+    forms = compat.compile_forms(outlet.load, outlet.slope, dict(flow.terms)["right",])
+    for form, factor in zip(forms, (1.0, 4.0 * moving.scheme.alpha_f, pressure), strict=True):
+        total = assembled(form, flow.V).array_r.reshape(-1, 3).sum(axis=0)
+        total = MPI.COMM_WORLD.allreduce(total, op=MPI.SUM)
+        np.testing.assert_allclose(total, [*(factor * turned), 0.0], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("condition", "is_closed"),
     [

@@ -87,9 +87,15 @@ def test_mirrored_sheets_stay_mirrored():
 def test_contact_is_taken_at_the_level_of_the_equations():
     """The tangent of contact in the coupled step is the slope of its forces with alpha_f = 2/3 in it."""
     scene = approaching()
-    while not scene.fsi.takeStep().contact.pairs:
+    while not (found := scene.fsi.takeStep().contact).pairs:
         pass
     shell, time = scene.fsi.shell, scene.fsi.timeInt_sh
+    of_last_residual = shell.touching
+    assert (found.load, found.energy, found.distance) == (
+        of_last_residual.load,
+        of_last_residual.energy,
+        of_last_residual.distance,
+    )
     time.predict()
     zero, W = np.zeros_like(shell.quadrature.points), np.zeros(len(shell.quadrature.points))
     shell.assemble_residual(zero)
@@ -107,6 +113,16 @@ def test_contact_is_taken_at_the_level_of_the_equations():
         values.append(shell.system.b.array_r.copy())
     slope = (values[0] - values[1]) / (2.0 * step)
     np.testing.assert_allclose(A @ direction, slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
+
+
+def test_contact_of_a_rational_shell_is_between_its_points():
+    scene = approaching(weights=lambda n: 1.0 + 0.6 * np.sin(np.arange(n)))
+    shell = scene.fsi.shell
+    shell.timeInt.predict()
+    assert np.ptp(shell.quadrature.rational) > 0.3
+    moved = shell.system.positions() - shell.quadrature.points
+    level = 2 / 3 * 0.005 * np.where(shell.quadrature.points[:, :1] < 0.5, 1.0, -1.0) * [1.0, 0.0]
+    np.testing.assert_allclose(moved, level, atol=1e-15)
 
 
 def test_fast_approach_is_warned_of(caplog):

@@ -108,6 +108,16 @@ def test_smoothed_relaxation_changes_the_multiplier_alone_and_keeps_its_force():
     assert np.abs(lams["smoothed"] - whole).max() > 1e-3 * np.abs(whole).max()
 
 
+def test_data_of_both_sides_are_asked_for_at_the_level_of_the_equations():
+    """rho_infinity = 1/2: two thirds of the step."""
+    scene, asked = sheet_in_flow((0.0, 0.0)), []
+    for side in (scene.fluid, scene.shell):
+        side.updates = (asked.append,)
+    for _ in range(2):
+        assert scene.fsi.takeStep().t_alpha == asked[-1]
+    np.testing.assert_allclose(asked, 0.1 * np.array([2 / 3, 2 / 3, 5 / 3, 5 / 3]), rtol=1e-13)
+
+
 def test_published_stopping_costs_a_superfluous_pass():
     passes = []
     for stopping in ("before_solve", "published"):
@@ -171,6 +181,7 @@ def test_a_change_of_units_changes_nothing():
     y = [scene.shell.spline.nodal(scene.y) for scene in (plain, scaled)]
     np.testing.assert_allclose(y[1] / length, y[0], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(scaled.fsi.lam / stress, plain.fsi.lam, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(np.array(scaled.fsi.floors) / (stress * length), plain.fsi.floors, rtol=1e-4)
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------

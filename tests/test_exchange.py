@@ -184,7 +184,9 @@ def test_points_of_no_patch_and_patches_without_area(arrays, patches):
 
 
 def test_slip_is_averaged_over_the_area():
-    slip, n, W = np.array([[0.0, 5.0], [2.0, 7.0]]), np.array([[1.0, 0.0]] * 2), np.array([1.0, 3.0])
-    figures = measure(slip, n, W, np.zeros((2, 2)), np.zeros(2), np.zeros(2))
+    """Along the normal; a point of no area, as one outside the fluid, has no slip."""
+    slip, n = np.array([[0.0, 5.0], [2.0, 7.0], [9.0, 0.0]]), np.array([[1.0, 0.0]] * 3)
+    figures = measure(slip, n, np.array([1.0, 3.0, 0.0]), np.zeros((3, 2)), np.zeros(2), np.zeros(2))
     assert figures.normal_slip_rms == pytest.approx(np.sqrt(3.0))
     assert figures.normal_slip_max == 2.0
+    assert figures.leak == 3.0 * 2.0

@@ -122,6 +122,18 @@ def test_each_part_of_the_state_matters(part, tmp_path):
         assert_same(moving.state(fsi), moving.state(whole), 1e-5)
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("block_atol", [0.0, 1e-13])
+def test_a_run_goes_on_with_the_floors_of_its_residuals(block_atol, folder):
+    """The first test of a step takes those of the step before, or none where there are none."""
+    make = lambda: restarted.scene(options=replace(restarted.TIGHT, block_rtol=1e-9, block_atol=block_atol)).fsi  # noqa: E731
+    whole, fsi = make(), make()
+    go(restart_of(folder, whole, every=1), whole.takeStep, 1)
+    restart_of(folder, fsi).read()
+    assert fsi.floors == whole.floors
+    assert (fsi.floors is None) is (block_atol == 0.0)
+
+
 def flow(moves=False):
     """A flow that a wall drives, on a mesh at rest or not; tangents are new in every iteration."""
     mesh, scheme = box(WORLD, (0.0, 0.0), (1.0, 1.0), (4, 4)), generalized_alpha(0.5)
