@@ -146,8 +146,8 @@ class FluidSubproblem:
     def norm(self, vector: PETSc.Vec, impedance: float) -> float:
         """Norm of a residual-like vector in units of force (collective)."""
         array = vector.array_r
-        total, momentum = np.dot(array, array), np.einsum("i,i,i->", array, array, self._is_velocity)
-        square = momentum + impedance**2 * max(total - momentum, 0.0)
+        weights = self._is_velocity + impedance**2 * (1.0 - self._is_velocity)
+        square = np.einsum("i,i,i->", weights, array, array)
         return float(np.sqrt(self.comm.allreduce(float(square), op=MPI.SUM)))
 
     def coupling_norm(self, trace: TraceMatrix, forces: FloatArray) -> float:

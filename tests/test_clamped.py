@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shnapr.supports import fixed
+from shnapr.supports import clamped, fixed, pinned
 from tigar_x import shapes, surfaces
 from tigar_x.constraints import no_rotation
 from tigar_x.multipatch import glued
@@ -57,6 +57,20 @@ def test_straight_beam():
     expected[1, [-1, -3]] = -1.0, 1.0
     np.testing.assert_allclose(np.abs(G), np.abs(expected), atol=1e-15)
     np.testing.assert_allclose(G.sum(axis=1), 0.0, atol=1e-15)
+
+
+def test_two_rows_are_clamped_and_one_is_pinned():
+    line, sheet = (
+        shapes.line((0.0, 0.0), (3.0, 0.0), elements=4, degree=2),
+        shapes.parallelogram((0, 0, 0), (1, 0, 0), (0, 1, 0), elements=(3, 2), degrees=(2, 2)),
+    )
+    np.testing.assert_array_equal(clamped(line, "u1", "u0"), [0, 1, 2, 3, 8, 9, 10, 11])
+    np.testing.assert_array_equal(pinned(line, "u0"), [0, 1])
+    np.testing.assert_array_equal(pinned(line, "u1", components=[1]), [11])
+    lowest = np.sort(np.unique(sheet.points[:, 1]))
+    for held, rows in ((clamped(sheet, "v0"), 2), (pinned(sheet, "v0"), 1)):
+        functions = np.flatnonzero(np.isin(sheet.points[:, 1], lowest[:rows]))
+        np.testing.assert_array_equal(held, (3 * functions[:, None] + np.arange(3)).ravel())
 
 
 def test_what_is_no_edge_of_a_shell_is_refused():

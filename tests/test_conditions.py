@@ -10,12 +10,13 @@ from flows import MU, RHO, assembled, randomise
 from tigar_x import compat
 from tigar_x.time_integration import backward_euler, generalized_alpha
 from varmint import ale
-from varmint.boundary import stable_neumann
+from varmint.boundary import stable_neumann, weak_dirichlet, weak_slip
 from varmint.conditions import Resistance, Slip, Traction, Velocity, WeakVelocity
-from varmint.flow import Flow
+from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box, named
 from varmint.motion import PrescribedMotion
-from varmint.vms import element_metric, stress
+from varmint.space import split
+from varmint.vms import element_metric, interior_residual, stress
 
 SIDES = ("left", "right", "bottom", "top")
 FACES = (*SIDES, "back", "front")
@@ -355,6 +356,31 @@ def test_weak_slip_follows_the_mesh():
         flow.time.x_old.x.array[:] = flow.w.x.array
         found, expected = (assembled(form, flow.V) for form in forms)
         assert ((found - expected).norm() < 1e-12 * expected.norm()) is (speed == moving.rate)
+
+
+@pytest.mark.mpi
+def test_options_of_a_flow_and_of_its_conditions_reach_the_forms():
+    mesh = sheared()
+    weak = WeakVelocity("top", (1.0, 2.0), symmetric=False, penalty=7.0)
+    options = FlowOptions(invariant_metric=True, C_I=5.0, C_t=9.0)
+    flow = flow_with(weak, Slip("left", penalty=11.0), mesh=mesh, f=(0.3, -0.2), options=options)
+    randomise(flow.w, 1)
+    randomise(flow.time.x_old, 2)
+    f, domain = flow.fields, mesh.domain
+    fields, common = (f.v, f.p, f.w, f.q), dict(rho=f.rho, mu=f.mu, invariant=True)
+    unsteady = dict(v_t=split(flow.time.xdot_alpha)[0], dt=flow.time.dt, f=ufl.as_vector([0.3, -0.2]))
+    expected = {
+        ("fluid",): interior_residual(
+            *fields, domain, C_I=5.0, C_t=9.0, dx=mesh.dx(degree=f.degree), **unsteady, **common
+        ),
+        ("top",): weak_dirichlet(
+            *fields, ufl.as_vector([1.0, 2.0]), domain, f.ds(("top",)), symmetric=False, penalty=7.0, **common
+        ),
+        ("left",): weak_slip(*fields, domain, f.ds(("left",)), penalty=11.0, **common),
+    }
+    for groups, form in expected.items():
+        found, wanted = (assembled(part, flow.V) for part in compat.compile_forms(dict(flow.terms)[groups], form))
+        assert (found - wanted).norm() < 1e-12 * wanted.norm(), groups
 
 
 # -- open boundaries --------------------------------------------------------------------------------------------------

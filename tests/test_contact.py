@@ -543,6 +543,23 @@ def test_spacing_ratio(degree, elements, tolerance):
     assert SelfContact(rule, LinearKernel(0.025, 1.0), 0.1).spacing_ratio == pytest.approx(2 * ratio, rel=1e-12)
 
 
+def test_the_spacing_at_a_point_is_the_mean_weight_around_it():
+    """Of the point itself alone where no other is near; in space its square root."""
+    for r_self, areas in ((0.9, 3.0), (1.1, 2.5)):
+        for d in (2, 3):
+            rule = NodalQuadrature(np.eye(2, d) * np.sqrt(0.5), np.array([2.0, 3.0]), np.ones(2))
+            found = SelfContact(rule, LINEAR, r_self).spacing_ratio
+            assert found == pytest.approx(areas ** (1 / (d - 1)) / R_MAX, rel=1e-14)
+
+
+def test_ways_lead_over_points_without_weight_that_take_no_part():
+    rule, touching = of_shell(disjoint(*rows(0.0, GAP)))
+    for i in touching.apart[7]:
+        weights = np.where(np.arange(len(rule.weights)) == i, 0.0, rule.weights)
+        fewer = SelfContact(replace(rule, weights=weights), touching.kernel, NEAR).apart
+        np.testing.assert_array_equal(fewer, touching.apart[(touching.apart != i).all(axis=1)])
+
+
 # -- bad input ---------------------------------------------------------------------------------------------------------
 
 

@@ -171,6 +171,15 @@ def test_pairs_nearest_to_the_shift_are_those_of_dense_algebra(backend, shift):
     assert (pairs.residuals < 1e-8 * every[-1]).all()
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_residuals_are_in_the_unit_of_the_values(backend):
+    """Whatever the unit of mass; those of a vector of another length would not be."""
+    K, M = chain(12)
+    for unit in (1e-24, 1e24):
+        pairs = eigenpairs(petsc(K), petsc(unit * M), 3, shift=-0.1 / unit, backend=backend)
+        assert 0.0 < pairs.residuals.max() * unit < 1e-10
+
+
 def test_zero_dofs_given_in_place_of_those_of_the_space():
     """One free end: quarter waves."""
     spline, space, k, m = fixed_string(3, 12)

@@ -8,6 +8,7 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 from scipy.integrate import quad
+from ufl.algorithms import expand_derivatives
 
 from shnapr.hyperelastic import Hyperelastic, lee_sacks, neo_hookean
 from shnapr.loads import follower_pressure
@@ -350,3 +351,20 @@ def test_other_bad_input():
     for points in (0, 2.5):
         with pytest.raises(ValueError, match=rf"^points = {points}: an integer >= 1"):
             Hyperelastic(neo_hookean(1.0), 0.1, points)
+
+
+def test_stress_does_not_know_how_a_shear_is_written():
+    """A psi of one off-diagonal entry alone is that of their mean, as E is symmetric."""
+    E = ufl.as_matrix([[0.1, 0.05], [0.05, -0.2]])
+    one, both = (
+        Hyperelastic(psi, 0.1).second_piola(E, 0.0)
+        for psi in (
+            lambda E: 3 * E[0, 1] ** 2 + E[0, 0] ** 2,
+            lambda E: 1.5 * (E[0, 1] ** 2 + E[1, 0] ** 2) + E[0, 0] ** 2,
+        )
+    )
+    found, expected = (
+        [[float(expand_derivatives(S[i, j])(())) for j in range(2)] for i in range(2)] for S in (one, both)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    assert found[0][1] == found[1][0] != 0.0

@@ -317,6 +317,9 @@ def test_points_and_velocities_belong_to_the_level_of_the_equations(motion):
     locator.displace(displacement_of_cells(fsi.fluid.moving))
     trace = trace_matrix(fsi.fluid.velocity_space, locator.locate(x))
     np.testing.assert_allclose(fsi.fluid.velocity_at(trace), x @ A.T, atol=1e-13)
+    flow_time.x.x.array.reshape(-1, 3)[:, :2] = mesh_time.rates()[0].reshape(-1, 2) + np.array([3.0, -4.0])
+    assert fsi.fluid.speed() == pytest.approx(5.0)  # past the mesh
+    assert largest(mesh_time.rates()[0] - mesh_time.xdot_old.x.array) > 0.01
 
 
 PROGRAM = """

@@ -3,7 +3,10 @@
 import re
 import sys
 
+import numpy as np
 import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
 from test_newton import nonlinear_poisson
 from test_solids import GRAVITY, SOFT, beam_flow, static_deflection, tip
 
@@ -31,6 +34,16 @@ def test_what_stagnates_may_be_accepted():
     limit = newton(nonlinear_poisson()[0], rtol=1e-12).norms[-1]
     report = newton(system, rtol=0.0, atol=1e-3 * limit, max_iterations=40, stalled=1e6)
     assert report.norms[-1] <= 1e3 * limit
+
+
+def test_rounding_is_that_of_what_a_state_and_what_it_refers_to_meet_in_the_free_rows():
+    """Rows of held unknowns are those of a unit matrix, in other units than the forces of the rest."""
+    A = PETSc.Mat().createAIJ((2, 2), csr=([0, 1, 2], [0, 1], [1.0, 1e-6]), comm=MPI.COMM_SELF)
+    x = PETSc.Vec().createWithArray(np.array([1e3, -2.0]), comm=MPI.COMM_SELF)
+    held = np.array([0], dtype=np.int32)
+    assert rounding.of_tangent(A, x, None, held) == pytest.approx(2e-6)
+    assert rounding.of_tangent(A, x, np.array([7.0, 3.0]), held) == pytest.approx(5e-6)
+    assert rounding.of_tangent(A, x, None, held[:0]) == pytest.approx(1e3)
 
 
 FALLING = [10.0**-k for k in range(6)]

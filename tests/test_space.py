@@ -16,7 +16,7 @@ from splines import (
     turned,
 )
 
-from tigar_x import shapes
+from tigar_x import compat, shapes
 from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.constraints import tied
 from tigar_x.multipatch import as_multipatch, disjoint, glued
@@ -162,6 +162,17 @@ def test_constants_are_kept_by_both_projections(make, cells):
     np.testing.assert_allclose(lumped(form), expected, rtol=0, atol=1e-12)
     assert s.geometry.rational
     np.testing.assert_allclose(s.nodal(s.project(2.0))[:, 0], 2.0, rtol=0, atol=1e-11)
+
+
+def test_the_lumped_projection_keeps_integrals():
+    s = ExtractedSpline(curved(2), MPI.COMM_SELF)
+    field = ufl.as_vector([ufl.sin(2.0 * s.F[0]), s.F[0] * s.F[1], 1.0 + s.F[0]][: s.nsd])
+    lumped, values = s.lumped_projector, fem.Function(s.V)
+    values.x.array[:] = (lumped(lumped.compile(field)) * s.node_weights[:, None]).ravel()
+    forms = (f[i] * s.dx for f in (field, s.rationalize(values)) for i in range(s.nsd))
+    of_field, of_projection = np.split(np.array([compat.assemble_scalar(f) for f in compat.compile_forms(*forms)]), 2)
+    assert s.geometry.rational
+    np.testing.assert_allclose(of_projection, of_field, rtol=1e-11)
 
 
 # -- triangles and tetrahedra -----------------------------------------------------------------------------------------

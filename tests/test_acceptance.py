@@ -1,0 +1,90 @@
+"""When a step of the coupling has converged: what its residuals are referred to, and what is said where it has not."""
+
+import pytest
+
+from coudalfish import CouplingOptions
+from coudalfish.acceptance import GROWTH_LIMIT, STALL, Acceptance
+from coudalfish.report import RejectedStepError
+
+RTOL = 0.1
+COUPLING = (1e9, 1e9)
+
+
+def acceptance(**options):
+    return Acceptance(CouplingOptions(**(dict(block_rtol=RTOL, block_atol=0.0) | options)))
+
+
+def no_floors():
+    return pytest.fail("floors are asked for although none is used")
+
+
+def limits(judge, *tests, coupling=COUPLING, floors=no_floors):
+    """What would have been accepted at every one of the tests."""
+    found = []
+    for norms in tests:
+        judge.test(norms, coupling, floors)
+        found.append(judge.limits)
+    return found
+
+
+def test_residuals_are_referred_to_the_largest_of_the_first_pass():
+    """Those before it, what the fluid's solution makes of the shell's in it, and those after it."""
+    judge = acceptance()
+    assert limits(judge, (4.0, 0.0)) == [(0.4, 0.0)]
+    judge.note(0.0, 30.0)
+    assert limits(judge, (2.0, 20.0), (100.0, 100.0)) == [pytest.approx((0.4, 3.0))] * 2
+    later = acceptance()
+    assert limits(later, (4.0, 1.0), (5.0, 2.0), (9.0, 9.0)) == [(0.4, 0.1), (0.5, 0.2), (0.5, 0.2)]
+
+
+def test_the_published_reference_is_the_first_residual_alone():
+    judge = acceptance(stopping="published")
+    assert limits(judge, (4.0, 1.0), (5.0, 2.0), coupling=(1e-3, 1e-3)) == [(0.4, 0.1)] * 2
+
+
+def test_a_small_coupling_force_is_the_reference_and_none_is_not():
+    assert limits(acceptance(), (4.0, 1.0), coupling=(2.0, 1e9)) == [(0.2, 0.1)]
+    assert limits(acceptance(), (4.0, 1.0), coupling=(0.0, 0.5)) == [(0.4, 0.05)]
+
+
+def test_both_residuals_have_to_be_small():
+    for norms, small in (((0.4, 0.1), True), ((0.41, 0.1), False), ((0.4, 0.11), False)):
+        judge = acceptance()
+        judge.test((4.0, 1.0), COUPLING, no_floors)
+        assert judge.test(norms, COUPLING, no_floors) is small
+
+
+def test_floors_raise_limits_and_are_asked_for_where_these_are_exceeded_only():
+    judge = acceptance(block_atol=1e-8)
+    assert limits(judge, (4.0, 1.0), floors=lambda: (2.0, 0.01)) == [(2.0, 0.1)]
+    assert judge.test((1.9, 0.1), COUPLING, lambda: (2.0, 0.01))
+    assert judge.test((0.3, 0.1), COUPLING, no_floors)
+
+
+@pytest.mark.parametrize(
+    ("norms", "block"), [((4.4 * GROWTH_LIMIT, 1.0), "fluid"), ((4.0, 1.1 * GROWTH_LIMIT), "shell")]
+)
+def test_a_residual_that_grows_without_bound_rejects_the_step_and_names_its_block(norms, block):
+    judge = acceptance()
+    judge.test((4.0, 1.0), COUPLING, no_floors)
+    judge.test((4.0, 1.0), COUPLING, no_floors)
+    judge.test((3.9 * GROWTH_LIMIT, 0.9 * GROWTH_LIMIT), COUPLING, no_floors)
+    with pytest.raises(RejectedStepError, match=r"grew 1.\de\+03 times in 3 passes") as caught:
+        judge.test(norms, COUPLING, no_floors)
+    assert caught.value.block == block
+
+
+def test_a_pass_that_reduces_one_residual_too_little_stalls():
+    judge = acceptance()
+    assert not judge.stalled
+    for norms, stalled in (((4.0, 1.0), False), ((4.0 * STALL, STALL), False), ((0.1, 1.01 * STALL**2), True)):
+        judge.test(norms, COUPLING, no_floors)
+        assert judge.stalled is stalled
+
+
+def test_the_block_further_from_convergence_is_named():
+    judge = acceptance()
+    limits(judge, (4.0, 1.0), (2.0, 0.9))
+    failed = judge.failure()
+    assert failed.block == "shell"
+    assert "fluid 5, shell 9" in str(failed)
