@@ -469,7 +469,13 @@ class TestSplineSystem:
         np.testing.assert_allclose(system.extract(nodal)[free], M.T[free] @ nodal.ravel(), rtol=0, atol=1e-14)
         assert not system.extract(nodal)[spline.zero_dofs].any()
 
+        assert system.product_norm(nodal) == 0.0
         system.assemble_tangent()
+        system.assemble_residual()
+        before = system.b.array_r.copy()
+        system.unknown.x.array[:] += nodal.ravel()
+        system.assemble_residual()
+        assert system.product_norm(nodal) == pytest.approx(np.linalg.norm(system.b.array_r - before), rel=1e-12)
         n = range(M.shape[1])
         A = system.A.getValues(n, n)
         system.assemble_tangent(nodal)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
+from flows import assembled
 from scenes import free_sheet
 
 from coudalfish import CouDALFISh, FluidSubproblem, SurfaceBand
+from tigar_x import compat
 from tigar_x.linear import direct, gmres_ilu
 from tigar_x.time_integration import backward_euler, generalized_alpha
 from varmint.conditions import Resistance, Velocity
@@ -149,3 +151,18 @@ def test_a_consistent_start_has_the_pressure_of_its_flow_rate():
     pressures = flow.w.x.array.reshape(-1, 3)[:, 2]
     at_outlet = np.isclose(flow.V.tabulate_dof_coordinates()[:, 0], 2.0)
     np.testing.assert_allclose(pressures[at_outlet], 5.0 + 1e3 * rate, atol=3.0)
+
+
+@pytest.mark.mpi
+def test_rounding_of_a_flow_rate_is_that_of_its_terms_times_what_the_resistance_makes_of_it():
+    """``|l| R alpha_f sum_i |l_i w_i|`` with the load l of the free velocities at the outlet."""
+    flow = duct(2, Resistance("right", 1e3))
+    flow.take_step()
+    (form,) = compat.compile_forms(flow.rank_one[0].load)
+    load = assembled(form, flow.V)
+    owned = load.getLocalSize()
+    load.array_w[flow.system.constrained[flow.system.constrained < owned]] = 0.0
+    terms = np.abs(load.array_r * flow.w.x.array[:owned]).sum()
+    expected = load.norm() * 1e3 * flow.time.x_factor * COMM.allreduce(terms, op=MPI.SUM)
+    found = flow.system._low_rank.rounding(compat.petsc_vector(flow.w))
+    assert found == pytest.approx(expected, rel=1e-10) != 0.0
