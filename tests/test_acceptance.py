@@ -15,7 +15,11 @@ def acceptance(**options):
 
 
 def no_floors():
-    return pytest.fail("floors are asked for although none is used")
+    return 0.0, 0.0
+
+
+def unwanted():
+    return pytest.fail("floors are asked for although the relative limits hold")
 
 
 def limits(judge, *tests, coupling=COUPLING, floors=no_floors):
@@ -42,6 +46,13 @@ def test_the_published_reference_is_the_first_residual_alone():
     assert limits(judge, (4.0, 1.0), (5.0, 2.0), coupling=(1e-3, 1e-3)) == [(0.4, 0.1)] * 2
 
 
+@pytest.mark.parametrize("stopping", ["published", "before_solve"])
+def test_a_residual_that_starts_below_its_floor_is_referred_to_what_the_first_pass_makes_of_it(stopping):
+    judge = acceptance(stopping=stopping)
+    found = limits(judge, (1e-9, 1.0), (5.0, 0.5), (9.0, 9.0), floors=lambda: (1e-8, 1e-8))
+    assert found == [(1e-8, 0.1), (0.5, 0.1), (0.5, 0.1)]
+
+
 def test_a_small_coupling_force_is_the_reference_and_none_is_not():
     assert limits(acceptance(), (4.0, 1.0), coupling=(2.0, 1e9)) == [(0.2, 0.1)]
     assert limits(acceptance(), (4.0, 1.0), coupling=(0.0, 0.5)) == [(0.4, 0.05)]
@@ -58,7 +69,7 @@ def test_floors_raise_limits_and_are_asked_for_where_these_are_exceeded_only():
     judge = acceptance(block_atol=1e-8)
     assert limits(judge, (4.0, 1.0), floors=lambda: (2.0, 0.01)) == [(2.0, 0.1)]
     assert judge.test((1.9, 0.1), COUPLING, lambda: (2.0, 0.01))
-    assert judge.test((0.3, 0.1), COUPLING, no_floors)
+    assert judge.test((0.3, 0.1), COUPLING, unwanted)
 
 
 @pytest.mark.parametrize(
