@@ -196,21 +196,23 @@ def _movie(out: Path, flow: Flow, curl: NodalField | None = None) -> VTKHDFSerie
 def follow(
     flow: Flow, measure: Coefficients, until: float, watch: script.Stopwatch, out: Path | None, pictures: int = 40
 ) -> tuple[FloatArray, int, int]:
-    """Steps to the end: history of (t, drag, lift, dp), Newton and linear iterations in all."""
+    """Steps to the end: history of (t_alpha, drag, lift, dp), Newton and linear iterations in all."""
     steps = max(1, round(until / flow.time.step_size))
     progress, rows, counts = script.Progress(steps), [], np.zeros(2, dtype=int)
     curl = None if out is None else vorticity(flow)
     movie = None if out is None else _movie(out, flow, curl)
-    log = None if out is None else CSVSeries(out / "history.csv", ("drag", "lift", "dp", "newton_iterations"))
+    log = (
+        None if out is None else CSVSeries(out / "history.csv", ("t_alpha", "drag", "lift", "dp", "newton_iterations"))
+    )
     for n in progress:
         with watch:
             report = flow.take_step(measure)
         counts += report.iterations, report.linear_iterations
-        # drag and lift belong to the level of the equations, within the step
-        rows.append((report.t, *report.measured))
+        # drag, lift and pressures belong to the level of the equations, within the step
+        rows.append((report.t_alpha, *report.measured))
         progress.show(f"t = {report.t:.4g}  iterations {report.iterations}  drag {report.measured[0]:.4g}")
         if log is not None:
-            log.write(report.t, *report.measured, report.iterations)
+            log.write(report.t, *rows[-1], report.iterations)
         if movie is not None and curl is not None and n % max(1, steps // pictures) == 0:
             curl()
             movie.write(report.t)

@@ -303,6 +303,7 @@ def build(
 
 
 COLUMNS = (
+    "t_alpha",  # to which pressures, leak and contact belong
     "flow_rate",
     "opening_area",
     "pressure_before",
@@ -334,6 +335,7 @@ class Observer:
         # points that do not touch are at least the range of contact apart
         distance = min(contact.distance, leaflets.contact.kernel.r_max)
         return (
+            report.t_alpha,
             -self._flow_rate()["outwards"],
             leaflets.opening(),
             before,
@@ -675,15 +677,15 @@ def draw_histories(path: Path, past: History) -> None:
     axes[1].plot(past.t, past["opening_area"], linewidth=1.0)
     axes[1].set(ylabel="area within the free edges [cm$^2$]")
     for name in ("before", "behind"):
-        axes[2].plot(past.t, past[f"pressure_{name}"], linewidth=0.8, label=f"{name} the valve")
+        axes[2].plot(past["t_alpha"], past[f"pressure_{name}"], linewidth=0.8, label=f"{name} the valve")
     axes[2].set(ylabel="pressure [dyn/cm$^2$]")
-    axes[3].plot(past.t, past["contact_load"], linewidth=1.0)
+    axes[3].plot(past["t_alpha"], past["contact_load"], linewidth=1.0)
     axes[3].set(ylabel="contact load [dyn]")
     for k in range(surfaces.LEAFLETS):
         axes[4].plot(past.t, past[f"tip_r_{k}"], f"C{k}", linewidth=1.0, label=f"leaflet {k}, free edge")
         axes[4].plot(past.t, past[f"belly_r_{k}"], f"C{k}--", linewidth=1.0, label=f"leaflet {k}, belly")
     axes[4].set(ylabel="distance from the axis [cm]", xlabel="t [s]")
-    axes[5].plot(past.t, past["leak"], linewidth=0.8)
+    axes[5].plot(past["t_alpha"], past["leak"], linewidth=0.8)
     axes[5].set(ylabel="flow through the leaflets [cm$^3$/s]", xlabel="t [s]")
     for i in (2, 4):
         axes[i].legend(fontsize=7)

@@ -387,7 +387,7 @@ class Pictures:
             normal=fsi.shell.normals,
         )
         forces = tuple(f"force_{i + 1}" for i in range(d))
-        columns = ("passes", "normal_slip_rms", "leak", *forces)
+        columns = ("t_alpha", "passes", "normal_slip_rms", "leak", *forces)
         self._history = CSVSeries(out / "history.csv", columns, after=run.after)
 
     def write(self, report: Any) -> None:
@@ -395,7 +395,7 @@ class Pictures:
         m = report.monitors
         self._fluid.write(report.t)
         self._shell.write(report.t)
-        self._history.write(report.t, report.passes, m.normal_slip_rms, m.leak, *m.force)
+        self._history.write(report.t, report.t_alpha, report.passes, m.normal_slip_rms, m.leak, *m.force)
 
     def close(self, data: Data, fsi: CouDALFISh) -> None:
         """Finish the files and draw the final state."""

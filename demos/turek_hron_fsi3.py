@@ -46,6 +46,7 @@ PUBLISHED = {
     "drag": (457.3, 22.66, 10.9),
     "lift": (2.22, 149.78, 5.3),
 }
+COLUMNS = ("t", "t_alpha", *PUBLISHED, "smallest_volume_ratio")
 
 
 def inflow(x: Any, t: Any) -> Any:
@@ -104,6 +105,11 @@ class Tip:
         return self._comm.bcast(self._u.x.array[2 * self._node : 2 * self._node + 2].copy(), root=self._rank)
 
 
+def course(history: FloatArray, name: str) -> tuple[FloatArray, FloatArray]:
+    """Times of a quantity, for forces those of the equations, and its values, from rows of ``COLUMNS``."""
+    return history[:, COLUMNS.index("t_alpha" if name in ("drag", "lift") else "t")], history[:, COLUMNS.index(name)]
+
+
 def last_oscillation(t: FloatArray, y: FloatArray) -> tuple[float, float, float]:
     """Mean and amplitude of the last full oscillation, and the frequency of all of the last second's."""
     late = t >= t[-1] - 1.0
@@ -159,9 +165,9 @@ def main(
         with watch:
             report = flow.take_step(force)
         counts += report.iterations, report.linear_iterations, report.tangents
-        rows.append((report.t, *tip(), *report.measured, flow.moving.smallest_volume_ratio()))
+        rows.append((report.t, report.t_alpha, *tip(), *report.measured, flow.moving.smallest_volume_ratio()))
         memory.append(script.rss_mib())
-        progress.show(f"t = {report.t:.4g}  iterations {report.iterations}  u_y {rows[-1][2]:.4g}")
+        progress.show(f"t = {report.t:.4g}  iterations {report.iterations}  u_y {rows[-1][3]:.4g}")
         if pictures:
             pictures.write(n, rows[-1])
     history = np.array(rows)
@@ -169,8 +175,8 @@ def main(
         pictures.close(flow, history)
 
     qoi = {}
-    for i, (name, published) in enumerate(PUBLISHED.items(), 1):
-        found = last_oscillation(history[:, 0], history[:, i])
+    for name, published in PUBLISHED.items():
+        found = last_oscillation(*course(history, name))
         for kind, value, known in zip(("mean", "amplitude", "frequency"), found, published, strict=True):
             if np.isfinite(value):
                 qoi[f"{name}_{kind}"] = script.Quantity(value, known, DOI)
@@ -206,7 +212,7 @@ class Pictures:
         fields = {"velocity": (flow.w, (0, 1)), "pressure": (flow.w, (2,))}
         fields |= {"mesh_displacement": (flow.moving.time.x, (0, 1)), "vorticity": (self._vorticity.field, (0,))}
         self._movie = VTKHDFSeries(out / "flow.vtkhdf", flow.mesh.domain, **fields)
-        self._history = CSVSeries(out / "history.csv", (*PUBLISHED, "smallest_volume_ratio"))
+        self._history = CSVSeries(out / "history.csv", COLUMNS[1:])
 
     def write(self, n: int, row: tuple[Any, ...]) -> None:
         """Append the present state."""
@@ -239,9 +245,9 @@ def draw(path: Path, flow: PlaneField, curl: PlaneField, history: FloatArray) ->
     limit = 0.1 * np.abs(curl.values).max()
     curl.shade(axes[1], curl.values[:, 0], "vorticity", cmap="RdBu_r", vmin=-limit, vmax=limit)
     late = history[:, 0] >= history[-1, 0] - 1.0
-    for i, (name, (mean, amplitude, _)) in enumerate(PUBLISHED.items(), 1):
-        plot = figure.add_subplot(grid[2 + (i - 1) // 2, (i - 1) % 2])
-        plot.plot(history[late, 0], history[late, i])
+    for i, (name, (mean, amplitude, _)) in enumerate(PUBLISHED.items()):
+        plot = figure.add_subplot(grid[2 + i // 2, i % 2])
+        plot.plot(*(values[late] for values in course(history, name)))
         plot.axhspan(mean - amplitude, mean + amplitude, color="0.9", label="published range")
         plot.set(ylabel=name, xlabel="$t$")
         plot.legend(loc="upper left", fontsize="small")

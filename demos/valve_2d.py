@@ -57,8 +57,8 @@ SIDES, FRAMES = ("bottom", "top"), 60
 PEAKS = ((0.25, 0.579), (1.21, 0.585), (2.27, 0.583))
 TROUGHS = (0.324, 0.324, 0.325)
 READING = 0.005
-COLUMNS = (
-    *("passes", "bottom_x", "bottom_y", "top_x", "top_y", "inflow", "leak", "normal_slip"),
+COLUMNS = (  # leak and slip belong to t_alpha
+    *("t_alpha", "passes", "bottom_x", "bottom_y", "top_x", "top_y", "inflow", "leak", "normal_slip"),
     *("kinetic_fluid", "kinetic_shell", "elastic"),
 )
 
@@ -415,6 +415,7 @@ def in_numbers(report: StepReport, tips: FloatArray) -> dict[str, float]:
     m = report.monitors
     return {
         "t": report.t,
+        "t_alpha": report.t_alpha,
         "passes": report.passes,
         "linear_iterations": report.linear_iterations,
         **{f"{side}_{x}": float(tips[i, j]) for i, side in enumerate(SIDES) for j, x in enumerate("xy")},

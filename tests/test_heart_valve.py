@@ -101,7 +101,7 @@ def test_clamped_edges_do_not_move(valve):
 def history(q, t=None, reversal=0.1):
     t = np.linspace(0.0, 0.2, len(q)) if t is None else t
     rows = np.zeros((len(q), 1 + len(demo.COLUMNS)))
-    rows[:, 0], rows[:, 1] = t, q
+    rows[:, 0], rows[:, 1 + demo.COLUMNS.index("flow_rate")] = t, q
     return demo.History(rows, reversal)
 
 
