@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from coudalfish import ranks
 from coudalfish.levels import check_schemes
 from coudalfish.mesh_motion import check_levels
 from coudalfish.options import CouplingOptions, PenaltyRule
@@ -21,7 +20,7 @@ from coudalfish.step import Step
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import PointLocator
 from coudalfish.watch import Watch
-from tigar_x import checks
+from tigar_x import checks, ranks
 from tigar_x.compat import FloatArray
 from tigar_x.linear import SolveError
 from tigar_x.time_integration import TimeIntegrator

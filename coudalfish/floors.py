@@ -1,8 +1,8 @@
 """Residuals below which a step has nothing left to solve for."""
 
-from coudalfish import ranks
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import TraceMatrix
+from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
 ROUNDED = 1e-13

@@ -9,11 +9,11 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from scipy.sparse.csgraph import connected_components
 
-from coudalfish import ranks
 from coudalfish.exchange import VertexMeans, updated_multiplier
 from coudalfish.sheets import Sheets
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from coudalfish.trace import TraceMatrix
+from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
 DEPENDENT = 1e-8

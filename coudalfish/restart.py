@@ -7,8 +7,8 @@ import numpy as np
 from dolfinx import fem
 
 from coudalfish.coupler import CouDALFISh
-from coudalfish.ranks import first
 from tigar_x.nodal import wave_sums
+from tigar_x.ranks import first
 from tigar_x.restart import Integrators
 from tigar_x.time_integration import TimeIntegrator
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from coudalfish import exchange, ranks
+from coudalfish import exchange
 from coudalfish.acceleration import Anderson
 from coudalfish.acceptance import Acceptance
 from coudalfish.floors import residual_floors
@@ -21,6 +21,7 @@ from coudalfish.monitors import Monitors, measure
 from coudalfish.multiplier import Multiplier
 from coudalfish.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.trace import trace_matrix
+from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from test_load_stepping import pointwise
 
 from tigar_x.linear import SolveError
 from tigar_x.load_stepping import StepControl, follow_load
-from tigar_x.ranks import agreed, first
+from tigar_x.ranks import first
 from tigar_x.solve import newton
 from tigar_x.spline_system import SplineSystem
 
@@ -55,16 +55,6 @@ def test_a_step_that_fails_on_one_rank_is_cut_on_all(rank):
     assert report.loads[0] == 0.25
     assert report.cuts == (1,) + (0,) * (len(report.cuts) - 1)
     assert all(other == report for other in COMM.allgather(report))
-
-
-@pytest.mark.parametrize("error", [SolveError("no"), MemoryError("no"), KeyError("no")])
-def test_a_failure_of_the_last_rank_is_that_of_all_where_they_agree(error):
-    def compute():
-        if COMM.rank == COMM.size - 1:
-            raise error
-
-    with pytest.raises(type(error), match="no"):
-        agreed(COMM, compute)
 
 
 def leaflet():
