@@ -259,6 +259,17 @@ def test_tangent(degree):
         assert slope_error(form, m.u) < 1e-6, name
 
 
+@pytest.mark.parametrize("k", [1, 2])
+@pytest.mark.parametrize("m", [None, 1, 2, 3])
+def test_the_quadrature_of_a_curved_mesh_is_that_of_its_volume_as_well(k, m):
+    """2 k, and 2 (m - 1) more for J of a displacement of degree m."""
+    flow = Flow("triangle", k, n=1)
+    still = flow.constant([0.0, 0.0])
+    motion = None if m is None else Motion(flow.mesh, curved(flow.x), still, m)
+    (integral,) = flow.residual(motion=motion).integrals()
+    assert integral.metadata()["quadrature_degree"] == 2 * k + 2 * ((m or 1) - 1)
+
+
 # -- the invariant metric ---------------------------------------------------------------------------------------------
 
 CORNERS = {

@@ -201,6 +201,31 @@ def test_no_slip_is_the_velocity_of_the_mesh():
         assert np.isnan(u[~walls]).all()
 
 
+@pytest.mark.mpi
+def test_walls_of_a_mesh_that_accelerates_have_its_velocity_at_the_end_or_at_the_level_of_the_equations():
+    """The former where the velocity is held, the latter in the forms; at rest at first, the mesh shears."""
+    mesh, scheme = square(), generalized_alpha(0.5)
+    motion = PrescribedMotion(mesh, lambda x, t: ufl.as_vector([0.3 * t**2 * (1 + x[1]), 0.0 * t]), DT, scheme)
+    motion.move()
+    at = motion.time.x.function_space.tabulate_dof_coordinates()
+    rates = motion.time.rates()[0].reshape(-1, 2)[:, 0] / (1 + at[:, 1])
+    speed = rates[0]
+    np.testing.assert_allclose(rates, speed, rtol=1e-12)
+
+    def flow(weak):
+        conditions = [Slip("left", strong_if_moving=True), Velocity("top"), weak, Traction("bottom")]
+        return Flow(mesh, conditions, rho=RHO, mu=MU, dt=DT, scheme=scheme, moving=motion)
+
+    made = flow(WeakVelocity("right"))
+    x, u = prescribed(made)
+    left, top = on(x, "left"), on(x, "top")
+    np.testing.assert_allclose(u[left | top, 0], speed * (1 + x[left | top, 1]), rtol=1e-12)
+    assert np.isnan(u[left & ~top, 1]).all()
+    given = flow(WeakVelocity("right", lambda x, t: ufl.as_vector([scheme.alpha_f * speed * (1 + x[1]), 0 * x[0]])))
+    found, expected = (assembled(compat.compile_forms(dict(f.terms)["right",])[0], f.V) for f in (made, given))
+    assert (found - expected).norm() < 1e-12 * expected.norm()
+
+
 # -- slip -------------------------------------------------------------------------------------------------------------
 
 

@@ -6,12 +6,14 @@ from itertools import pairwise, permutations, product
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from splines import energy, half_disc, poisson, quarter, radial, rectangle, turned
 
 from tigar_x import shapes
 from tigar_x.bspline import BSplineBasis, open_knots
 from tigar_x.multipatch import MultiPatch, as_multipatch, disjoint, glued
 from tigar_x.patch import Patch
+from tigar_x.spline import ExtractedSpline
 
 
 def weighted(patch, factor):
@@ -313,6 +315,21 @@ def test_knots_are_compared_in_the_sense_of_the_edge():
     for other in (sheet((1, 2), mirrored), sheet((1, 2), mirrored).reversed(1)):
         with pytest.raises(ValueError, match="touch but do not have the same functions"):
             glued(sheet((0, 1), v), other)
+
+
+def test_sides_with_the_same_rational_functions_in_other_parameters_are_glued():
+    """Weights in a geometric sequence change how fast a side is run along, and neither its shape nor its functions."""
+    one, other = (shapes.parallelogram((k, 0), (1, 0), (0, 1), elements=(2, 1), degrees=(2, 2)) for k in (0, 1))
+    other = Patch.from_points(other.bases, other.points, np.repeat(1.7 ** np.arange(3), 4))
+    both = glued(one, other)
+    assert both.n == 2 * 12 - 3
+    v = np.linspace(0.0, 1.0, 6)
+    x = other.evaluate(np.column_stack([0.0 * v, v]))
+    assert np.abs(x[:, 1] - v).max() > 0.1
+    s = ExtractedSpline(both, MPI.COMM_SELF)
+    u = s.function(np.random.default_rng(0).normal(size=(both.n, 2)))
+    ends = s.evaluate(u, np.column_stack([0.0 * v + 1.0, x[:, 1]])), s.evaluate(u, np.column_stack([0.0 * v, v]), 1)
+    np.testing.assert_allclose(*ends, rtol=1e-12, atol=1e-13)
 
 
 def test_faces_that_match_in_part_are_refused():

@@ -10,7 +10,7 @@ from scenes import sheet_in_flow
 
 from coudalfish import CouplingOptions
 from coudalfish.floors import ROUNDED
-from coudalfish.scales import median_size
+from coudalfish.scales import directions, median_size
 from coudalfish.slip import SHARE_OF_LOAD
 from coudalfish.step import Step
 from tigar_x.linear import gmres_ilu
@@ -148,3 +148,32 @@ def test_the_size_of_a_graded_mesh_is_the_median_of_its_cells():
     """Seven thin columns of cells and two thick ones."""
     ticks = np.append(np.linspace(0.0, 0.07, 8), [0.5, 1.0])
     assert median_size(grid(COMM, [ticks, np.linspace(0.0, 1.0, 5)]).domain) == pytest.approx(0.01)
+
+
+def test_the_spacing_along_directions_in_which_nothing_flows_does_not_count():
+    s = sheet_in_flow((0.0, 0.0), solver=None)
+    across = s.fluid.velocity_dofs[:, 1]
+    np.testing.assert_array_equal(directions(across, s.fluid.velocity_dofs, COMM), [1.0, 0.0])
+    np.testing.assert_array_equal(directions(across[1:], s.fluid.velocity_dofs, COMM), [1.0, 1.0])
+    s.fsi.watch._directions = np.array([1.0, 0.0])
+    s.fsi.takeStep()
+    step, x = Step(s.fsi), s.shell.quadrature.points
+    step._predict()
+    step._place()
+    assert step.spacing == pytest.approx(np.diff(np.sort(x[:, 0])).max(), rel=1e-3)
+
+
+def test_a_cautious_attempt_takes_half_of_the_increments_of_the_shell():
+    moved = []
+    for cautious in (False, True):
+        s = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, -0.4), traction=0.5)
+        step = Step(s.fsi, cautious=cautious)
+        step._predict()
+        step._place()
+        step._evaluate()
+        step._shell_residual()
+        before = s.y.x.array.copy()
+        step._solve_shell(True)
+        moved.append(s.y.x.array - before)
+    assert np.abs(moved[0]).max() > 1e-3
+    np.testing.assert_allclose(moved[1], 0.5 * moved[0], rtol=1e-9, atol=1e-14)
