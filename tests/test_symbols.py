@@ -111,6 +111,7 @@ NUMBERS = {
     "of a quotient": lambda t: math.exp(-(t - 1.0) / t),
     "power": lambda t: math.cos(t**2),
     "float": lambda t: float(t),
+    "whole": lambda t: int(t),
     "rounded": lambda t: round(t),
     "complex": lambda t: complex(t),
     "numpy": lambda t: np.sin(t),

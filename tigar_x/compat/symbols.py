@@ -35,7 +35,7 @@ class Constant(fem.Constant):
             " is required in forms; t.value is the number of the moment"
         )
 
-    __complex__ = __round__ = __float__
+    __complex__ = __int__ = __round__ = __float__
 
     def evaluate(self, x: Any, mapping: Any, *others: Any, **options: Any) -> Any:
         """UFL's evaluation of expressions; what they contain has to be given numbers by the mapping."""
