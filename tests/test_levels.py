@@ -183,6 +183,33 @@ def test_a_consistent_start_does_not_know_the_step_where_tau_does_not():
     assert np.abs(states[0]).max() > 0.1
 
 
+@pytest.mark.parametrize("with_solid", [False, True])
+def test_the_rate_of_a_consistent_start_keeps_the_volume_of_the_fluid_whatever_the_velocity_does(with_solid):
+    """What flows in at that rate flows out, from a velocity that has sources everywhere."""
+    scheme, dt, solid = generalized_alpha(0.5), 0.1, {}
+    mesh = named(
+        box(COMM, (0.0, 0.0), (1.0, 1.0), (4, 4)).domain,
+        cells={"solid": lambda x: x[0] < 0.5 + 1e-9, "fluid": lambda x: x[0] > 0.5 - 1e-9},
+        left=lambda x: np.isclose(x[0], 0.0),
+        rest=[lambda x, i=i, v=v: np.isclose(x[i], v) for i, v in ((0, 1.0), (1, 0.0), (1, 1.0))],
+    )
+    if with_solid:
+        moving = ElasticMotion(mesh, dict.fromkeys(("left", "rest")), dt, scheme, cells=("fluid",))
+        solid = {"moving": moving, "solid": Solid(StVenantKirchhoff(100.0, 0.3, 2.0))}
+    flow = Flow(
+        mesh, [Velocity("left"), Traction("rest")], rho=1.0, mu=0.1, dt=dt, scheme=scheme, f=(0.7, 0.3), **solid
+    )
+    flow.start(lambda x, t: ufl.as_vector([x[0], x[0] * x[1]]))
+    flow.consistent_start()
+    rate = ufl.as_vector([flow.time.xdot_old[0], flow.time.xdot_old[1]])
+    forms = compat.compile_forms(
+        ufl.div(rate) * mesh.dx(*flow.fluid_cells, degree=2), ufl.inner(rate, rate) * mesh.dx(degree=2)
+    )
+    change, size = (compat.assemble_scalar(form) for form in forms)
+    assert abs(change) < 1e-8 * np.sqrt(size)
+    assert size > 1e-3
+
+
 @pytest.mark.parametrize("d", [2, 3])
 def test_stress_of_the_fictitious_solid_by_numbers(d):
     """``F S`` of a uniform deformation with shear, against ``sum_i f_i x_i``, the virial of the nodal forces."""

@@ -183,3 +183,16 @@ def test_a_clamped_polar_disc_sinks_as_it_should_with_smooth_lines():
     exact = q / 64 / (1e6 * 0.01**3 / 12 / (1 - 0.3**2))
     assert sunk[1] == pytest.approx(exact, rel=1e-3)
     assert sunk[0] > 2.2 * exact
+
+
+def test_a_rigid_motion_folds_nothing_where_lines_cross_obliquely():
+    """Coordinate lines that meet an edge at different angles: only the part across it turns about it."""
+    one, other = (
+        shapes.parallelogram((0, 0, 0), a, (0, 1, 0), elements=(2, 2), degrees=(2, 2))
+        for a in ((1, 0.4, 0), (-1, 0.7, 0))
+    )
+    both = glued(one, other)
+    turned = np.array([np.cross(axis, both.points).ravel() for axis in np.eye(3)]).T
+    assert folds(both, sp.csr_matrix(turned)) == []
+    flapping = np.where(both.points[:, :1] > 0.0, np.cross([0.0, 1.0, 0.0], both.points), 0.0).reshape(-1, 1)
+    assert [line.name for line in folds(both, sp.csr_matrix(flapping))] == JOINT

@@ -5,16 +5,20 @@ import logging
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import ufl
 from mpi4py import MPI
 from scenes import sheet_in_flow
 
 from coudalfish import CouplingOptions
 from coudalfish.floors import ROUNDED
+from coudalfish.restart import CoupledState
 from coudalfish.scales import directions, median_size
 from coudalfish.slip import SHARE_OF_LOAD
 from coudalfish.step import Step
 from tigar_x.linear import gmres_ilu
-from varmint.mesh import grid
+from tigar_x.time_integration import generalized_alpha
+from varmint.mesh import box, grid
+from varmint.motion import ElasticMotion
 
 COMM = MPI.COMM_SELF
 
@@ -177,3 +181,29 @@ def test_a_cautious_attempt_takes_half_of_the_increments_of_the_shell():
         moved.append(s.y.x.array - before)
     assert np.abs(moved[0]).max() > 1e-3
     np.testing.assert_allclose(moved[1], 0.5 * moved[0], rtol=1e-9, atol=1e-14)
+
+
+def test_a_small_shell_is_told_from_another_as_a_large_one_is():
+    """By a millionth of its size, whatever the unit of length."""
+    for length in (1e-4, 1e4):
+        one, same, other = (
+            CoupledState(sheet_in_flow((0.0, 0.0), length=length, ends=((0.35, 0.25), (0.45, 0.75 + more))).fsi)
+            for more in (0.0, 1e-11, 1e-6)
+        )
+        record = one.record()
+        same.check(record)
+        with pytest.raises(ValueError, match="another shape"):
+            other.check(record)
+
+
+def test_what_is_negligible_for_the_nodes_of_a_mesh_goes_with_its_unit_of_length():
+    """As their forces do, which are stresses times lengths in the plane."""
+    found = []
+    for size in (1.0, 1e3):
+        mesh = box(COMM, (0.0, 0.0), (size, size), (3, 3))
+        sides = dict.fromkeys(("left", "right", "bottom", "top"), lambda x, t: 0.5 * t * ufl.as_vector([x[0] * 1, 0]))
+        moving = ElasticMotion(mesh, sides, 0.1, generalized_alpha(0.5))
+        moving.time.predict()
+        moving.move()
+        found.append(moving._atol())
+    assert found[1] / found[0] == pytest.approx(1e3, rel=1e-6)
