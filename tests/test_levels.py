@@ -63,8 +63,9 @@ def test_penalty_tangent_of_a_rational_shell_is_the_slope_of_its_residual():
 
 def test_normals_and_points_of_the_shell_are_those_of_the_level():
     """A sheet that turns by a half in a step stands, at two thirds of it, along the chord between its ends."""
-    s = sheet_in_flow(solver=None)
+    s = sheet_in_flow((0.3, 0.2), solver=None)
     shell = s.shell
+    np.testing.assert_allclose(shell.velocity(), np.tile([0.3, 0.2], (17, 1)), rtol=1e-14)  # before the step
     shell.timeInt.predict()
     X = shell.quadrature.points
     A = np.array([[0.0, -0.5], [0.5, 0.0]])

@@ -184,16 +184,17 @@ def test_a_cautious_attempt_takes_half_of_the_increments_of_the_shell():
 
 
 def test_a_small_shell_is_told_from_another_as_a_large_one_is():
-    """By a millionth of its size, whatever the unit of length."""
+    """By a millionth of its size or of its place, whatever the unit of length."""
     for length in (1e-4, 1e4):
-        one, same, other = (
-            CoupledState(sheet_in_flow((0.0, 0.0), length=length, ends=((0.35, 0.25), (0.45, 0.75 + more))).fsi)
-            for more in (0.0, 1e-11, 1e-6)
+        one, same, longer, elsewhere = (
+            CoupledState(sheet_in_flow((0.0, 0.0), length=length, ends=((0.35, 0.25 + a), (0.45, 0.75 + b))).fsi)
+            for a, b in ((0.0, 0.0), (0.0, 1e-11), (0.0, 1e-6), (1e-6, 1e-6))
         )
         record = one.record()
         same.check(record)
-        with pytest.raises(ValueError, match="another shape"):
-            other.check(record)
+        for other in (longer, elsewhere):
+            with pytest.raises(ValueError, match="another shape"):
+                other.check(record)
 
 
 def test_what_is_negligible_for_the_nodes_of_a_mesh_goes_with_its_unit_of_length():

@@ -62,6 +62,13 @@ def test_points_on_vertices_edges_and_partition_boundaries_count_once(dim):
 
 
 @pytest.mark.mpi
+def test_points_outside_by_rounding_are_inside():
+    domain = make_mesh(2)
+    x = np.array([[-1e-12, 0.4], [0.6, 1.0 + 1e-12], [-1e-8, 0.4]])
+    np.testing.assert_array_equal(PointLocator(domain).locate(x).active, [True, True, False])
+
+
+@pytest.mark.mpi
 def test_outside_points_are_inactive_and_have_empty_rows():
     domain = make_mesh(2)
     x = np.array([[0.5, 0.5], [1.2, 0.5], [-1e-3, 0.2], [0.3, 7.0], [1.0, 1.0]])
