@@ -18,7 +18,7 @@ from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box, named
 from varmint.motion import ElasticMotion
-from varmint.solids import Solid, StVenantKirchhoff, mesh_residual
+from varmint.solids import Solid, StVenantKirchhoff, mesh_residual, solid_residual
 
 COMM = MPI.COMM_SELF
 SIDES = ("left", "right", "bottom", "top")
@@ -228,6 +228,18 @@ def test_stress_of_the_fictitious_solid_by_numbers(d):
     E = (F.T @ F - np.eye(d)) / 2
     S = np.trace(E) * np.eye(d) + 2 * (E - np.trace(E) / 3 * np.eye(d))
     np.testing.assert_allclose(virial, F @ S, rtol=1e-12, atol=1e-13)
+
+
+def test_a_solid_resists_its_acceleration_and_carries_its_weight_with_its_density():
+    mesh = box(COMM, (0.0, 0.0), (1.0, 0.5), (2, 2))
+    V = compat.lagrange_space(mesh.domain, 1, 2)
+    u, (a, f) = fem.Function(V), (fem.Constant(mesh.domain, value) for value in ((2.0, 3.0), (0.5, 7.0)))
+    form = solid_residual(StVenantKirchhoff(1.0, 0.3, 2.5), u, a, ufl.TestFunction(V), mesh.dx(degree=2), f=f)
+    system = FiniteElementSystem(form, u)
+    system.assemble_residual()
+    np.testing.assert_allclose(
+        system.b.array_r.reshape(-1, 2).sum(axis=0), 2.5 * 0.5 * np.array([1.5, -4.0]), rtol=1e-13
+    )
 
 
 def test_a_solid_in_a_flow_is_strained_at_the_level_of_its_equations():

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from flows import DT, MU, RHO, Flow, assembled, randomise
+from flows import DT, MU, RHO, Flow, assembled, randomise, slope_error
 from ufl.algorithms import expand_derivatives
 
 from tigar_x import compat
 from tigar_x.solve import FiniteElementSystem
 from varmint.boundary import stable_neumann, weak_dirichlet
+from varmint.space import split
+from varmint.vms import frozen_tangent
 
 CASES = [("triangle", 1), ("triangle", 2), ("quadrilateral", 1), ("tetrahedron", 1)]
 
@@ -79,6 +81,15 @@ def test_tangent(unsteady, banded):
     system.A.mult(compat.petsc_vector(direction), slope)
     difference = (at(1e-6) - at(-1e-6)) / 2e-6
     assert (difference - slope).norm() < 1e-6 * slope.norm()
+
+
+def test_a_frozen_tangent_is_the_slope_at_the_parameters_of_the_present_state():
+    flow = Flow("triangle", n=2)
+    held = flow.u.copy()
+    residual = flow.residual(v_tau=split(held)[0], v_t=flow.v / DT - flow.v_t, dt=DT)
+    assert slope_error(residual, flow.u, frozen_tangent(residual, flow.u, held)) < 1e-6
+    held.x.array[:] *= 3.0
+    assert slope_error(residual, flow.u, frozen_tangent(residual, flow.u, held)) > 1e-3
 
 
 @pytest.mark.parametrize("unsteady", [False, True])
