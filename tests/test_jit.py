@@ -38,9 +38,9 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "fenics"
 
 
-def started(cache, code):
+def started(cache, code, **environment):
     """Another process that uses the cache, in a group of its own."""
-    env = outside() | {"XDG_CACHE_HOME": str(cache.parent), "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+    env = outside() | {"XDG_CACHE_HOME": str(cache.parent), "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | environment
     command = [sys.executable, "-c", f"import test_jit; {code}"]
     return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True)
 
@@ -53,7 +53,10 @@ def names(folder):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_compilation_is_in_nobodys_way(number, cache, monkeypatch):
     monkeypatch.setitem(OPTIONS, "timeout", 5)
-    with started(cache, HERE) as process:
+    compiler = cache.parent / "compiler"
+    compiler.write_text("#!/bin/sh\nsleep 60\n")
+    compiler.chmod(0o755)
+    with started(cache, HERE, CC=str(compiler)) as process:
         while not any(path.stat().st_size for path in cache.rglob("*.c")) and process.poll() is None:
             time.sleep(0.001)
         os.killpg(process.pid, number)
