@@ -194,6 +194,7 @@ def test_vtkhdf_refuses_an_earlier_series_of_something_else(path):
         series(path, moved, function(moved)[0], after=0.0)
     WORLD.barrier()
     assert str(read_vtkhdf(path)[2]) == str(before)
+    WORLD.barrier()
     if WORLD.rank == 0:
         path.write_text("something else")
     WORLD.barrier()
