@@ -16,8 +16,17 @@ from varmint.mesh_checks import MeshArrays, extruded
 from varmint.mesh_elements import Elements
 from varmint.mesh_session import model_elements, session
 
-QUADRILATERALS = {"RecombineAll": 1, "RecombinationAlgorithm": 2, "Algorithm": 6}
-"""gmsh's options for a mesh of quadrilaterals alone; its other algorithm for such meshes (8) may crash."""
+QUADRILATERALS = {
+    "RecombineAll": 1,
+    "RecombinationAlgorithm": 1,
+    "SubdivisionAlgorithm": 1,
+    "MeshSizeFactor": 2,
+    "Algorithm": 6,
+}
+"""gmsh's options for a mesh of quadrilaterals alone: cells of twice the size, most of them recombined, are divided.
+
+Its full-quad recombination fails in some releases where a curve has an odd number of edges, and algorithm 8 may crash.
+"""
 GROWTH = 0.25
 """By how much cells grow per unit of length away from the cylinder."""
 
