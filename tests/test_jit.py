@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import cffi
@@ -42,7 +43,9 @@ def started(cache, code, **environment):
     """Another process that uses the cache, in a group of its own."""
     env = outside() | {"XDG_CACHE_HOME": str(cache.parent), "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | environment
     command = [sys.executable, "-c", f"import test_jit; {code}"]
-    return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # which what is started in the background ignores
+    return subprocess.Popen(command, env=env, **pipes, start_new_session=True, preexec_fn=heard)
 
 
 def names(folder):
