@@ -30,7 +30,7 @@ COLUMNS = (
 def run(out: Path, dim: int, preset: str, level: int, dt_factor: float) -> dict[str, Any]:
     """One run of the demo in its own process; its summary."""
     folder = out / "runs" / f"{dim}d-{preset}-{level}-{dt_factor:g}"
-    command = [sys.executable, str(DEMO), "--no-viz", "--dim", str(dim), "--preset", preset]
+    command = [sys.executable, str(DEMO), "--no-viz", "--overwrite", "--dim", str(dim), "--preset", preset]
     command += ["--level", str(level), "--dt-factor", str(dt_factor), "--out", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     if done.returncode:

@@ -30,7 +30,7 @@ TARGETS = {"extraction": 0.3, "forms": 0.2, "product": 0.15, "peak_rss_mib": 269
 def run(out: Path, cells: str, degree: int, elements: int) -> dict[str, Any]:
     """One run of the demo in its own process; its summary."""
     folder = out / "runs" / f"{cells}-{degree}-{elements}"
-    command = [sys.executable, str(DEMO), "--no-viz", "--cells", cells, "--degree", str(degree)]
+    command = [sys.executable, str(DEMO), "--no-viz", "--overwrite", "--cells", cells, "--degree", str(degree)]
     command += ["--elements", str(elements), "--out", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     if done.returncode:
