@@ -78,7 +78,8 @@ class Means(Protocol):
 class VertexMeans:
     """Smoothing of values at points over the vertices of the fluid's mesh, ``N (N^T W x / N^T W)``.
 
-    It leaves constants as they are, keeps the integral of every x, and is symmetric in the area W.
+    It leaves constants as they are, keeps the integral of every x, and is symmetric in the area W. What varies within
+    cells, as patterns of the multiplier do, is not in it.
 
     Attributes:
         N: linear functions of vertices at the points, from :meth:`coudalfish.trace.PointLocator.vertex_functions`.
@@ -89,10 +90,11 @@ class VertexMeans:
     W: FloatArray
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
-        """Smoothed values, zero at points outside the mesh, shape (points,)."""
+        """Smoothed values of shape (points,) or (points, components), zero at points outside the mesh."""
         area = self.N.T @ self.W
-        force = self.N.T @ (self.W * x)
-        return np.asarray(self.N @ np.divide(force, area, out=np.zeros_like(area), where=area > 0.0))
+        sums = self.N.T @ (self.W * x.T).T
+        means = np.divide(sums.T, area, out=np.zeros_like(sums.T), where=area > 0.0)
+        return np.asarray(self.N @ means.T)
 
 
 def updated_multiplier(

@@ -109,8 +109,12 @@ class Sheets:
         Returns:
             Shape (points,).
         """
-        present, reference = self._areas(x), self._areas(self.X)
+        present, reference = self._areas(x), self._reference_areas
         return np.divide(present, reference, out=np.ones(len(x)), where=reference > 0.0)
+
+    @cached_property
+    def _reference_areas(self) -> FloatArray:
+        return self._areas(self.X)
 
     def _areas(self, x: FloatArray) -> FloatArray:
         """Areas (in the plane: lengths) of the cells around every point."""

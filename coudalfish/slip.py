@@ -4,7 +4,6 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from tigar_x.compat import FloatArray
 
@@ -25,24 +24,6 @@ class Slip:
 
     normal: float
     tangential: float
-
-
-def smoothed(N: sp.csr_matrix, W: FloatArray, x: FloatArray) -> FloatArray:
-    """Means of values at points over the vertices of the fluid's mesh, brought back to the points.
-
-    What varies within cells, as patterns of the multiplier do, is not in it.
-
-    Args:
-        N: linear functions of vertices at the points, see :meth:`coudalfish.trace.PointLocator.vertex_functions`.
-        W: areas, zero at inactive points, shape (points,).
-        x: values, shape (points, components).
-
-    Returns:
-        The same shape, zero at points outside the mesh.
-    """
-    area = (N.T @ W)[:, None]
-    sums = N.T @ (W[:, None] * x)
-    return np.asarray(N @ np.divide(sums, area, out=np.zeros_like(sums), where=area > 0.0))
 
 
 def root_mean_square(W: FloatArray, x: FloatArray) -> float:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from coudalfish.exchange import VertexMeans
 from coudalfish.report import StepReport
 from coudalfish.scales import directions, extent
-from coudalfish.slip import SHARE_OF_LOAD, WINDOW, SlipWindow, root_mean_square, smoothed
+from coudalfish.slip import SHARE_OF_LOAD, WINDOW, SlipWindow, root_mean_square
 from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
 from tigar_x.compat import FloatArray
 
@@ -145,7 +146,7 @@ class Watch:
     def _warn_of_slip(self, step: "Step", speed: float) -> None:
         h, dt, beta = self._fluid.mesh_size, step.dt, step.beta
         both = np.hstack([step.c.lam[:, None] * step.n, step.u - step.y_dot])
-        lam, slip = np.hsplit(smoothed(step.vertex_functions, step.W, both), 2)
+        lam, slip = np.hsplit(VertexMeans(step.vertex_functions, step.W) @ both, 2)
         ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * dt / (beta * h)
         moved = root_mean_square(step.W, step.y_dot)
         rest = self._rest(root_mean_square(step.W, lam), dt)

@@ -23,7 +23,8 @@ from coudalfish import (
     StepError,
     SurfaceBand,
 )
-from coudalfish.slip import WINDOW, Slip, SlipWindow, smoothed
+from coudalfish.exchange import VertexMeans
+from coudalfish.slip import WINDOW, Slip, SlipWindow
 from shnapr.loads import inertia
 from tigar_x import shapes
 from tigar_x.linear import direct
@@ -183,10 +184,12 @@ def test_means_over_vertices_keep_constants_and_sums():
     N = np.zeros((5, 4))
     N[:4, :3] = rng.dirichlet((1.0, 1.0, 1.0), 4)
     W, x = np.array([1.0, 2.0, 0.5, 1.5, 0.0]), rng.uniform(-1.0, 1.0, (5, 2))
-    found = smoothed(sp.csr_matrix(N), W, x)
+    means = VertexMeans(sp.csr_matrix(N), W)
+    found = means @ x
     np.testing.assert_allclose(W @ found, W @ x, rtol=1e-13)
-    np.testing.assert_allclose(smoothed(sp.csr_matrix(N), W, np.ones((5, 1)))[:4], 1.0, rtol=1e-13)
+    np.testing.assert_allclose((means @ np.ones((5, 1)))[:4], 1.0, rtol=1e-13)
     assert not found[4].any()
+    np.testing.assert_array_equal(means @ x[:, 0], found[:, 0])
 
 
 # -- suspects ---------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.writing import gathered
 
 CLOSE = 1e-10
 """Distance within which two nodes are the same one, relative to the size of the mesh."""
@@ -128,10 +129,8 @@ class Nodes:
         Args:
             values: at the nodes that this rank owns, shape (owned, ...).
         """
-        if self.comm.size == 1:
-            return values
-        parts = self.comm.gather(np.ascontiguousarray(values))
-        return None if parts is None else np.concatenate(parts)
+        rows: FloatArray | None = gathered(self.comm, values)
+        return rows
 
     def scatter(self, values: FloatArray | None) -> FloatArray:
         """Values at the nodes that this rank owns (collective), shape (owned, ...).

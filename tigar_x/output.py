@@ -20,7 +20,7 @@ from dolfinx import fem, io, mesh
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.vertex_values import Components, VertexValues
-from tigar_x.writing import all_come, on_root, replace_text, together
+from tigar_x.writing import all_come, gathered, on_root, replace_text, together
 
 if TYPE_CHECKING:
     from tigar_x.spline import ExtractedSpline
@@ -156,7 +156,7 @@ class VTUSeries(Series):
             raise ValueError("field = 'displacement': another name is required, this is that of y")
         self._kind, cells = compat.subcells(spline.V)
         counts = self._comm.allgather(len(spline.node_positions))
-        self._cells = self._gather(cells + sum(counts[: self._comm.rank]))
+        self._cells = gathered(self._comm, cells + sum(counts[: self._comm.rank]))
         self._index = self._path.with_name(self._path.name + ".pvd")
         self._entries: list[tuple[float, str]] = []
         on_root(MPI.COMM_WORLD, lambda: self._begin(after))
@@ -174,13 +174,6 @@ class VTUSeries(Series):
         for _, name in found[len(self._entries) :]:
             self._path.with_name(name).unlink(missing_ok=True)
 
-    def _gather(self, rows: Any) -> Any:
-        """Rows of all ranks, one after the other, on rank 0; nothing elsewhere."""
-        if self._comm.size == 1:
-            return rows
-        parts = self._comm.gather(np.ascontiguousarray(rows))
-        return None if parts is None else np.concatenate(parts)
-
     @staticmethod
     def _padded(values: FloatArray) -> FloatArray:
         if values.ndim == 1 or values.shape[1] > 2:
@@ -197,7 +190,10 @@ class VTUSeries(Series):
             data["displacement"] = self._spline.nodal(self._y)
             points = points + data["displacement"]
         data.update({name: self._values(field) for name, field in self._fields.items()})
-        points, data = self._gather(points), {name: self._gather(values) for name, values in data.items()}
+        points, data = (
+            gathered(self._comm, points),
+            {name: gathered(self._comm, values) for name, values in data.items()},
+        )
         on_root(MPI.COMM_WORLD, lambda: self._put(t, points, data))
 
     def _put(self, t: float, points: FloatArray, data: dict[str, FloatArray]) -> None:

@@ -19,7 +19,7 @@ from tigar_x.compat import FloatArray, IntArray
 from tigar_x.nodal import Nodes
 from tigar_x.output import Series, is_later
 from tigar_x.vertex_values import Components, VertexValues
-from tigar_x.writing import on_root, replace_bytes
+from tigar_x.writing import gathered, on_root, replace_bytes
 
 CELLS = {
     "interval": (3, [0, 1]),
@@ -86,8 +86,8 @@ class VTKHDFSeries(Series):
         kind, order = CELLS[compat.cell_name(domain)]
         dofs = compat.cell_dofs(self._space)[: compat.owned_cells(domain)][:, order]
         numbers = self._space.dofmap.index_map.local_to_global(dofs.ravel().astype(np.int32))
-        points = self._gather(self._space.tabulate_dof_coordinates()[: self._owned])
-        connectivity = self._gather(np.asarray(numbers, dtype=np.int64))
+        points = gathered(self._comm, self._space.tabulate_dof_coordinates()[: self._owned])
+        connectivity = gathered(self._comm, np.asarray(numbers, dtype=np.int64))
         if points is None or connectivity is None:
             return {}
         cells = len(connectivity) // len(order)
@@ -97,12 +97,6 @@ class VTKHDFSeries(Series):
             "Offsets": len(order) * np.arange(cells + 1, dtype=np.int64),
             "Types": np.full(cells, kind, dtype=np.uint8),
         }
-
-    def _gather(self, values: Any) -> Any:
-        if self._comm.size == 1:
-            return values
-        parts = self._comm.gather(np.ascontiguousarray(values))
-        return None if parts is None else np.concatenate(parts)
 
     def _begin(self, grid: dict[str, Any]) -> None:
         self._counts = {name: len(array) for name, array in grid.items()}
@@ -145,7 +139,7 @@ class VTKHDFSeries(Series):
         arrays = {}
         for name, function in self._values.functions.items():
             blocks = function.x.array.reshape(-1, function.function_space.dofmap.index_map_bs)
-            arrays[name] = self._gather(blocks[: self._owned])
+            arrays[name] = gathered(self._comm, blocks[: self._owned])
         on_root(self._comm, lambda: self._append(float(t), arrays))
 
     def _append(self, t: float, arrays: dict[str, FloatArray]) -> None:

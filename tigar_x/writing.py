@@ -12,8 +12,9 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
+import numpy as np
 from mpi4py import MPI
 
 P = ParamSpec("P")
@@ -84,6 +85,19 @@ def all_come(comm: MPI.Comm, seconds: float = PATIENCE) -> bool:
             return False
         time.sleep(0.001)
     return True
+
+
+def gathered(comm: MPI.Comm, rows: Any) -> Any:
+    """Rows of all ranks, one rank's after the other's, on rank 0; None elsewhere (collective).
+
+    Args:
+        comm: communicator.
+        rows: array of this rank, of the same shape but for its length on all.
+    """
+    if comm.size == 1:
+        return rows
+    parts = comm.gather(np.ascontiguousarray(rows))
+    return None if parts is None else np.concatenate(parts)
 
 
 def _tried(work: Callable[[], T]) -> tuple[T | None, Exception | None]:

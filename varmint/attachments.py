@@ -81,11 +81,9 @@ class SolidInFlow:
         self._to = d * moving.solid_nodes[:, None] + np.arange(d)
         self._from = (d + 1) * flow_node[moving.solid_nodes][:, None] + np.arange(d)
 
-        vertices, cells = compat.cell_vertices(mesh.domain), mesh.cells(*solid.groups)
-        edges = vertices[:, :, None, :] - vertices[:, None, :, :]
-        lengths = np.linalg.norm(edges, axis=-1)[:, *np.triu_indices(vertices.shape[1], 1)]
-        sizes = np.zeros(len(in_fluid))
-        np.maximum.at(sizes, compat.cell_dofs(flow.V)[cells], lengths.min(axis=1)[cells, None])
+        cells, sizes = mesh.cells(*solid.groups), np.zeros(len(in_fluid))
+        lengths = compat.shortest_edges(mesh.domain)[cells, None]
+        np.maximum.at(sizes, compat.cell_dofs(flow.V)[cells], lengths)
         self._lengths = np.repeat(sizes[:, None], d + 1, axis=1) * (np.arange(d + 1) < d)
 
     def resolution(self) -> FloatArray:

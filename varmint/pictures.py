@@ -23,7 +23,6 @@ class PlaneField:
         x: positions, shape (nodes, 2).
         values: shape (nodes, components).
         triangles: nodes of each, shape (triangles, 3).
-        is_here: whether this rank holds them.
     """
 
     def __init__(self, function: fem.Function, displacement: fem.Function | None = None) -> None:
@@ -42,7 +41,6 @@ class PlaneField:
         _, cells = compat.subcells(V)
         counts = comm.allgather(len(x))
         parts = comm.gather((x, values, cells + sum(counts[: comm.rank])))
-        self.is_here = parts is not None
         self.x, self.values = np.zeros((0, 2)), np.zeros((0, values.shape[1]))
         self.triangles = np.zeros((0, 3), dtype=int)
         if parts is None:

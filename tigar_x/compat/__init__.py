@@ -47,6 +47,7 @@ from tigar_x.compat.meshes import (
     input_numbers,
     is_simplex,
     owned_cells,
+    shortest_edges,
 )
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import (
@@ -101,6 +102,7 @@ __all__ = [
     "input_numbers",
     "is_simplex",
     "owned_cells",
+    "shortest_edges",
     "accumulate",
     "apply_values",
     "assemble_matrix",

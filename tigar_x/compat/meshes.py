@@ -103,6 +103,13 @@ def connectivity(domain: mesh.Mesh, dim: int, other: int) -> Any:
     return topology.connectivity(dim, other)
 
 
+def shortest_edges(domain: mesh.Mesh) -> FloatArray:
+    """Shortest distance of two vertices of every local cell, ghosts as well, shape (cells,); unit: length."""
+    x = cell_vertices(domain)
+    distances = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)[:, *np.triu_indices(x.shape[1], 1)]
+    return np.asarray(distances.min(axis=1, initial=np.inf))
+
+
 def exterior_facets(domain: mesh.Mesh) -> IntArray:
     """Local facets on the boundary of the mesh, ghosts as well, sorted; the ranks ask each other which they are."""
     dim = domain.topology.dim - 1
