@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.lines import Line, inner_lines, joints
+from tigar_x.lines import Line, inner_lines, joints, rows_of
 from tigar_x.multipatch import MultiPatch, as_multipatch, outside
 from tigar_x.patch import Patch
 
@@ -96,9 +96,7 @@ def _rows(geometry: MultiPatch, place: tuple[int, int, int]) -> tuple[IntArray, 
 
 def _local_rows(patch: Patch, direction: int, end: int) -> tuple[IntArray, IntArray]:
     """The same in the numbering of the patch."""
-    grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
-    first, second = (np.take(grid, row, axis=direction).ravel() for row in ((0, 1) if end == 0 else (-1, -2)))
-    return first, second
+    return rows_of(patch, direction, *((0, 1) if end == 0 else (-1, -2)))
 
 
 def no_rotation(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None) -> sp.csr_matrix:

@@ -14,6 +14,7 @@ from tigar_x.bspline import BSplineBasis, TensorBasis
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.gluing import side_name
 from tigar_x.multipatch import MultiPatch
+from tigar_x.patch import Patch
 
 INSIDE = np.array([0.2, 0.5, 0.8])
 """Where the elements along a line are looked at; the same from both ends."""
@@ -21,6 +22,12 @@ SAME_PLACE = 1e-6
 """Points of two banks that are closer, relative to the size of the geometry, are one point of their line."""
 STIFF = 1e-3
 """A rotation that conditions reduce to this part of it is none."""
+
+
+def rows_of(patch: Patch, direction: int, row: int, next_row: int) -> tuple[IntArray, IntArray]:
+    """Functions of a patch in two rows across a direction, in the same order; a negative row counts from the end."""
+    grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
+    return np.take(grid, row, axis=direction).ravel(), np.take(grid, next_row, axis=direction).ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +55,7 @@ class Bank:
 
     def local(self, geometry: MultiPatch) -> tuple[IntArray, IntArray]:
         """Both rows in the numbering of the patch."""
-        patch = geometry.patches[self.patch]
-        grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
-        first, second = (np.take(grid, row, axis=self.direction).ravel() for row in (self.row, self.next_row))
-        return first, second
+        return rows_of(geometry.patches[self.patch], self.direction, self.row, self.next_row)
 
 
 @dataclass(frozen=True, eq=False)
