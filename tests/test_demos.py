@@ -1,15 +1,20 @@
 """Every demo on disk runs at toy size and leaves what it promises."""
 
 import csv
+import importlib
+import inspect
 import json
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
 from load import load_demo
 from on_disk import DEMOS, ROOT, read_vtkhdf
+
+from tigar_x import writing
 
 BEFORE_THE_END = {
     "cylinder": 1 / 3,
@@ -92,6 +97,27 @@ def test_the_results_of_an_earlier_run_are_not_overwritten(name, tmp_path):
     ):
         demo.main(**demo.TOY, out=tmp_path)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["t,hours of work\n"]
+
+
+@pytest.mark.parametrize(
+    ("benchmark", "case"), [("manufactured", (2, "default", 1, 1.0)), ("scordelis_lo", ("quad", 2, 2))]
+)
+def test_benchmarks_run_a_demo_again_in_the_same_folder(benchmark, case, tmp_path, monkeypatch):
+    """A first run compiles, the next ones count: the demo takes the folder that has the results of the first one."""
+    module, demo, folders = importlib.import_module(benchmark), load_demo(benchmark), []
+
+    def as_the_demo(command, **_):
+        folder = Path(command[command.index("--out") + 1])
+        writing.claim(folder, overwrite="--overwrite" in command)
+        writing.replace_text(folder / "summary.json", "{}")
+        folders.append(folder)
+        return subprocess.CompletedProcess(command, 0)
+
+    assert "overwrite" in inspect.signature(demo.main).parameters
+    monkeypatch.setattr(module.subprocess, "run", as_the_demo)
+    for _ in range(2):
+        assert module.run(tmp_path, *case) == {}
+    assert folders[0] == folders[1]
 
 
 @pytest.mark.parametrize(
