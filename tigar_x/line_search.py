@@ -15,7 +15,7 @@ from tigar_x import checks
 from tigar_x.linear import SolveError
 
 if TYPE_CHECKING:
-    from tigar_x.solve import System
+    from tigar_x.newton import System
 
 _MARGIN = 0.2  # of the interval, that the secant keeps from both ends: g grows with a high power of s in thin shells
 
