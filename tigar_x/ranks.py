@@ -6,12 +6,12 @@ collective call. Decisions, and the state that they lead to, are therefore those
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 
 from tigar_x.compat import FloatArray
-from tigar_x.writing import portable
+from tigar_x.writing import portable, tried
 
 T = TypeVar("T")
 
@@ -46,16 +46,10 @@ def agreed(comm: MPI.Comm, compute: Callable[[], T], *arrays: FloatArray) -> T:
     """
     if comm.size == 1:
         return compute()
-    result: Any = None
-    error: Exception | None = None
-    try:
-        result = compute()
-    except Exception as raised:
-        error = raised
+    result, error = tried(compute)
     found = comm.allgather((error and portable(error), result if comm.rank == 0 else None))
     failures = [failure for failure, _ in found if failure is not None]
     if failures:
         raise error or failures[0]
     share(comm, *arrays)
-    agreed_on: T = found[0][1]
-    return agreed_on
+    return found[0][1]

@@ -38,7 +38,7 @@ def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
     """
     result, failure = None, None
     if comm.rank == 0:
-        result, failure = _tried(work)
+        result, failure = tried(work)
     told = comm.bcast(failure and portable(failure))
     if told is not None:
         raise failure or told
@@ -66,7 +66,7 @@ def together(comm: MPI.Comm, work: Callable[[], T]) -> T:
         Exception: its own on the ranks that failed, that of the lowest one of them on the others. Where these wait for
             it inside ``work``, the rank that failed raises alone.
     """
-    result, failure = _tried(work)
+    result, failure = tried(work)
     if failure is None:
         comm.Ibarrier().Wait()
     elif not all_come(comm):
@@ -100,7 +100,8 @@ def gathered(comm: MPI.Comm, rows: Any) -> Any:
     return None if parts is None else np.concatenate(parts)
 
 
-def _tried(work: Callable[[], T]) -> tuple[T | None, Exception | None]:
+def tried(work: Callable[[], T]) -> tuple[T | None, Exception | None]:
+    """What a function returns, and what it raises."""
     try:
         return work(), None
     except Exception as error:
