@@ -9,7 +9,9 @@ from typing import Any, Literal
 from load import load_demo
 
 from coudalfish import CouplingOptions
-from tigar_x import script
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch, peak_rss_mib
+from tigar_x.run.summary import table, write_summary
 
 demo = load_demo("manufactured")
 
@@ -83,7 +85,7 @@ def main(
     whole = 2 * demo.cells_per_side(level)
     fsi = demo.build(dim, level, whole, options, projected=reference, data=demo.Data())
     fsi.takeStep()
-    watch, profile = script.Stopwatch(), cProfile.Profile()
+    watch, profile = Stopwatch(), cProfile.Profile()
     with watch:
         for _ in range(steps):
             fsi.takeStep()
@@ -93,12 +95,12 @@ def main(
     profile.disable()
     parts = shares(pstats.Stats(profile))
     per_step = watch.cpu_s / steps
-    print(f"{dim}D level {level} {preset}: {per_step:.4f} CPU s per step, peak {script.peak_rss_mib():.0f} MiB")
-    print(script.table(("part", "% of a step"), [(part, 100.0 * share) for part, share in parts.items()]))
+    print(f"{dim}D level {level} {preset}: {per_step:.4f} CPU s per step, peak {peak_rss_mib():.0f} MiB")
+    print(table(("part", "% of a step"), [(part, 100.0 * share) for part, share in parts.items()]))
     coupling = sum(share for part, share in parts.items() if part.startswith("coupling"))
     print(f"coupling in all: {100 * coupling:.1f} %")
     name = f"breakdown-{dim}d-{level}-{preset}"
-    return script.write_summary(out / name, name, {"steps": steps}, cpu_s_per_step=per_step, shares=parts)
+    return write_summary(out / name, name, {"steps": steps}, cpu_s_per_step=per_step, shares=parts)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,11 @@ import calibrate
 import numpy as np
 
 from shnapr.contact import LinearKernel, SelfContact
-from tigar_x import script
 from tigar_x.compat import FloatArray
-from tigar_x.quadrature import NodalQuadrature
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch
+from tigar_x.run.summary import table, write_summary
+from tigar_x.splines.quadrature import NodalQuadrature
 
 # What must hold, in CPU seconds of forces and tangent with a search, and in the exponent of their growth.
 TARGET_POINTS, TARGET_SECONDS, TARGET_EXPONENT = 10_000, 0.1, 1.2
@@ -47,7 +49,7 @@ def measure(points: int, spacing: float, gap: float, shuffled: bool, repeats: in
     for repeat in range(repeats):
         moved = x + 2.0 * repeat  # far enough for a search, which the second and third case then share
         for case, options in cases.items():
-            watch = script.Stopwatch()
+            watch = Stopwatch()
             with watch:
                 found = contact.evaluate(moved, **options)
             seconds[case] = min(seconds[case], watch.cpu_s)
@@ -91,14 +93,14 @@ def main(
     ]
     largest = max(row["points"] for row in rows)
     growth = {"all": exponent(rows), "last decade": exponent(rows, int(0.08 * largest))}
-    text = script.table(COLUMNS, lines)
+    text = table(COLUMNS, lines)
     text += f"\nCPU seconds; the machine is {speed:.2f} times as fast as that of legacy.csv: {here}"
     text += "\nexponent of the time with a search: " + ", ".join(f"{k} {v:.3f}" for k, v in growth.items())
     at_target = ", ".join(f"{r['search']:.3f}" for r in rows if 0.9 < r["points"] / TARGET_POINTS < 1.1)
     text += f" (target {TARGET_EXPONENT}); at about {TARGET_POINTS} points {at_target} s (target {TARGET_SECONDS})\n"
     print(text)
     name = "contact-shuffled" if shuffled else "contact"
-    summary = script.write_summary(out / name, name, inputs, cpu_s=rows, exponents=growth, calibration=here)
+    summary = write_summary(out / name, name, inputs, cpu_s=rows, exponents=growth, calibration=here)
     (out / name / "table.txt").write_text(text)
     return summary
 

@@ -13,8 +13,9 @@ from typing import Any
 from load import load_demo
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
-from tigar_x import script
-from tigar_x.linear import LinearSolver, direct, gmres_ilu
+from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch
 
 demo = load_demo("manufactured")
 
@@ -37,7 +38,7 @@ def run(
     chosen = replace(demo.Data(), **data)
     steps = max(1, round(2 * demo.cells_per_side(level) / dt_factor))
     fsi = demo.build(2, level, steps, options, solver, projected=projected, data=chosen)
-    watch, reports = script.Stopwatch(), []
+    watch, reports = Stopwatch(), []
     try:
         with watch:
             for _ in range(steps):

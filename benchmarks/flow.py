@@ -15,7 +15,10 @@ from typing import Any
 import calibrate
 from load import load_demo
 
-from tigar_x import compat, script
+from tigar_x import compat
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch, peak_rss_mib
+from tigar_x.run.summary import table, write_summary
 
 HERE = Path(__file__).resolve()
 SEQUENCES = {1: (8, 16, 32, 64), 2: (8, 16, 32, 64), 3: (4, 8, 16, 32), 4: (2, 4, 8, 16)}
@@ -31,11 +34,11 @@ def solve(problem: str, cells: str, degree: int, elements: int, repeats: int) ->
     for _ in range(repeats):
         flow = demo.build(elements, degree, cells=cells)
         flow.compile()
-        watch = script.Stopwatch()
+        watch = Stopwatch()
         with watch:
             demo.solved(flow) if problem == "lid_driven_cavity" else demo.run(flow)
         times.append(watch.cpu_s)
-    memory, errors = script.peak_rss_mib(), demo.errors(flow)
+    memory, errors = peak_rss_mib(), demo.errors(flow)
     return {
         "problem": problem,
         "cells": cells,
@@ -153,16 +156,16 @@ def main(
         for degree in (int(d) for d in degrees.split(","))
         for n in SEQUENCES[degree]
     ]
-    text = script.table(COLUMNS, [[r[name] for name in COLUMNS] for r in rows])
+    text = table(COLUMNS, [[r[name] for name in COLUMNS] for r in rows])
     text += "\n\nAs accurate in H1 as the published code where it took a second or more; scaled CPU seconds\n"
     header = ("problem", "published", "H1_u", "CPU s", "cheapest here", "H1_u", "CPU s", "ratio", "ratio, same mesh")
     gains = speedups(rows, speed)
-    text += script.table(header, gains)
+    text += table(header, gains)
     smallest = min((row[-2] for row in gains), default=0.0)
     text += f"\n\nsmallest ratio {smallest:.3g}, {WANTED:g} wanted; machine {speed:.3g} times as fast: {here}\n"
     print(text)
     inputs = {"problems": problems, "cells": cells, "degrees": degrees, "repeats": repeats}
-    script.write_summary(out, "flow", inputs, runs=rows, calibration=here, speed=speed)
+    write_summary(out, "flow", inputs, runs=rows, calibration=here, speed=speed)
     (out / "table.txt").write_text(text)
     plot(out / "flow.png", rows, speed)
 

@@ -16,15 +16,15 @@ import ufl
 from mpi4py import MPI
 from load import load_demo
 
-from tigar_x import script
-from tigar_x.linear import direct, gmres_ilu
-from tigar_x.time_integration import backward_euler, generalized_alpha
+from tigar_x.fem.linear import direct, gmres_ilu
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.run import script
 from varmint.conditions import Slip, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowError, FlowOptions
+from varmint.forms.motion import ElasticMotion
+from varmint.forms.space import split
 from varmint.mesh import box, grid
-from varmint.motion import ElasticMotion
 from varmint.quantities import Measured, kinetic_energy
-from varmint.space import split
 
 SIDES = ("left", "right", "bottom", "top")
 SOLVERS = {"null space": gmres_ilu(), "pin": direct()}

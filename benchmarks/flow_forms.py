@@ -15,7 +15,9 @@ from typing import Any
 
 from load import load_demo
 
-from tigar_x import compat, script
+from tigar_x import compat
+from tigar_x.run import script
+from tigar_x.run.summary import write_summary
 from varmint.flow import Flow
 
 HERE = Path(__file__).resolve()
@@ -81,7 +83,7 @@ def main(out: Path = Path("results/benchmarks/flow_forms"), worker: str | None =
             cells += [", ".join(form["coefficients"]), str(form["constants"]), f"{form['seconds']:.2f}"]
             lines.append(f"| {' | '.join(cells)} |")
             print(lines[-1], flush=True)
-    script.write_summary(out, "flow_forms", {}, forms=rows)
+    write_summary(out, "flow_forms", {}, forms=rows)
     (out / "flow_forms.md").write_text("\n".join(lines) + "\n")
 
 

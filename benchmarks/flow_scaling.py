@@ -16,8 +16,10 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from tigar_x import script
-from tigar_x.linear import LinearSolver, direct, gmres_ilu, multigrid
+from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu, multigrid
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch, peak_rss_mib
+from tigar_x.run.summary import table, write_summary
 from varmint.conditions import WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
@@ -93,7 +95,7 @@ def measure(dim: int, kind: str, recipe: str, n: int, steps: int) -> dict[str, A
     )
     flow.compile()
     tangent, solve = Timed(flow.system, "assemble_tangent"), Timed(flow.system, "solve")
-    watch = script.Stopwatch()
+    watch = Stopwatch()
     with watch:
         reports = [flow.solve()] if steady else [flow.take_step() for _ in range(steps)]
     newton = sum(report.iterations for report in reports)
@@ -110,7 +112,7 @@ def measure(dim: int, kind: str, recipe: str, n: int, steps: int) -> dict[str, A
         "solve_s": solve.seconds / len(reports),
         "total_s": watch.cpu_s / len(reports),
         "wall_s": watch.wall_s / len(reports),
-        "peak_rss_mib": MPI.COMM_WORLD.allreduce(script.peak_rss_mib(), op=MPI.SUM),
+        "peak_rss_mib": MPI.COMM_WORLD.allreduce(peak_rss_mib(), op=MPI.SUM),
     }
 
 
@@ -166,7 +168,7 @@ def main(
             print(json.dumps(result))
         return
     rows: list[dict[str, Any]] = []
-    print(script.table(COLUMNS, []))
+    print(table(COLUMNS, []))
     for dim in (int(d) for d in dims.split(",")):
         sizes = [int(n) for n in elements.split(",")] if elements else list(SIZES[dim])
         for kind in kinds.split(","):
@@ -182,11 +184,11 @@ def main(
                                 ),
                                 flush=True,
                             )
-    text = script.table(COLUMNS, [[r[c] for c in COLUMNS] for r in rows])
+    text = table(COLUMNS, [[r[c] for c in COLUMNS] for r in rows])
     text += "\n\nexponents of the number of unknowns, over the three largest meshes on one rank\n"
-    text += script.table(("dim", "kind", "recipe", "linear iterations", "solve", "total"), growth(rows)) + "\n"
+    text += table(("dim", "kind", "recipe", "linear iterations", "solve", "total"), growth(rows)) + "\n"
     print(text)
-    script.write_summary(out, "flow_scaling", {"dims": dims, "kinds": kinds, "solvers": solvers}, runs=rows)
+    write_summary(out, "flow_scaling", {"dims": dims, "kinds": kinds, "solvers": solvers}, runs=rows)
     (out / "table.txt").write_text(text)
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from load import load_demo
 
-from tigar_x import script
+from tigar_x.run import script
+from tigar_x.run.summary import table
 from varmint.flow import Flow
 
 CHOICES: dict[str, dict[str, Any]] = {
@@ -94,7 +95,7 @@ def main(repeats: int = 3, out: Path = Path("results/benchmarks/flow_tangents"))
             first = r["total"] if first is None else first
             per_step = r["iterations"] / r["steps"], r["tangents"] / r["steps"]
             rows.append([scene, name, *per_step, 1e3 * r["assembly"], r["total"] / r["steps"], r["total"] / first])
-    text = script.table(COLUMNS, rows)
+    text = table(COLUMNS, rows)
     print(text)
     out.mkdir(parents=True, exist_ok=True)
     (out / "table.txt").write_text(text + "\n")

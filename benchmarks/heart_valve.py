@@ -12,7 +12,9 @@ from breakdown import shares
 from calibrate import calibrate, legacy_speed
 from load import legacy_valve, load_demo, on_ranks
 
-from tigar_x import script
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch, peak_rss_mib, rss_mib
+from tigar_x.run.summary import table, write_summary
 
 HERE = Path(__file__).resolve()
 WARM_UP = 10
@@ -26,10 +28,10 @@ def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled
     valve = demo.build(demo.Data(), resolution, elements=across, options=demo.options_of(preset))
     for _ in range(WARM_UP):
         valve.fsi.takeStep()
-    before, watch = script.rss_mib(), script.Stopwatch()
+    before, watch = rss_mib(), Stopwatch()
     with watch:
         reports = [valve.fsi.takeStep() for _ in range(steps)]
-    after = script.rss_mib()
+    after = rss_mib()
     found = {
         "preset": preset,
         "cells": valve.flow.mesh.domain.topology.index_map(3).size_global,
@@ -40,7 +42,7 @@ def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled
         "cpu_s_per_step": watch.cpu_s / steps,
         "wall_s_per_step": watch.wall_s / steps,
         "growth_mib_per_step": (after - before) / steps,
-        "peak_rss_mib": script.peak_rss_mib(),
+        "peak_rss_mib": peak_rss_mib(),
     }
     if profiled:
         profile = cProfile.Profile()
@@ -102,18 +104,18 @@ def main(
                      found["growth_mib_per_step"]))  # fmt: skip
     print(f"speed of this machine by that of the published figures: {index:.3g}")
     header = ("what", "cells", "points", "passes", "linear", "CPU s/step", "scaled", "ratio", "MiB/step")
-    print(script.table(header, rows))
+    print(table(header, rows))
     parts = compared[0]["shares"]
-    print(script.table(("part of a step [%]", *names), [(p, *(100 * f["shares"][p] for f in compared)) for p in parts]))
+    print(table(("part of a step [%]", *names), [(p, *(100 * f["shares"][p] for f in compared)) for p in parts]))
     sizes = [run(1, int(r), leaflet_elements, "default", steps) for r in sweep.split(",") if r]
     columns = ("cells", "dofs_fluid", "passes_mean", "linear_iterations_mean", "cpu_s_per_step", "peak_rss_mib")
     if sizes:
-        print(script.table(columns, [[size[key] for key in columns] for size in sizes]))
+        print(table(columns, [[size[key] for key in columns] for size in sizes]))
     parallel = {n: run(int(n), resolution, leaflet_elements, "default", steps) for n in ranks.split(",") if n}
     if parallel:
         keys = ("wall_s_per_step", "cpu_s_per_step", "passes_mean", "linear_iterations_mean")
-        print(script.table(("ranks", *keys), [(n, *(found[key] for key in keys)) for n, found in parallel.items()]))
-    return script.write_summary(
+        print(table(("ranks", *keys), [(n, *(found[key] for key in keys)) for n, found in parallel.items()]))
+    return write_summary(
         out, "heart_valve", {"steps": steps}, speed=index, compared=compared, sweep=sizes, ranks=parallel
     )
 

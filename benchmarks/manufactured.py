@@ -14,7 +14,8 @@ from typing import Any
 import calibrate
 import numpy as np
 
-from tigar_x import script
+from tigar_x.run import script
+from tigar_x.run.summary import table
 
 HERE = Path(__file__).resolve().parent
 DEMO = HERE.parent / "demos" / "manufactured.py"
@@ -136,7 +137,7 @@ def main(
             name = f"{dim}D {preset}, dt x {factor:g}"
             groups[name] = [row(run(out, dim, preset, level, factor), speed) for level in chosen]
             print(f"\n{name}")
-            print(script.table(COLUMNS[2:6] + NORMS + ("cpu_s", "peak_rss_mib"), _cells(groups[name])))
+            print(table(COLUMNS[2:6] + NORMS + ("cpu_s", "peak_rss_mib"), _cells(groups[name])))
             fitted = slopes(groups[name])
             if fitted:
                 print(
@@ -150,7 +151,7 @@ def main(
         writer.writerows(rows)
     plot(out / "error_against_time.png", {**groups, "published code": legacy()})
     print("\nAs accurate as the published code at level 4, CPU seconds scaled to its machine")
-    print(script.table(["norms", "cheapest run", "CPU s", "published code", "ratio"], speedups(rows)))
+    print(table(["norms", "cheapest run", "CPU s", "published code", "ratio"], speedups(rows)))
     print(f"\nwritten: {out / 'manufactured.csv'}, {out / 'error_against_time.png'}")
 
 

@@ -9,8 +9,10 @@ from mpi4py import MPI
 from load import load_demo, on_ranks
 
 from coudalfish import CouplingOptions
-from tigar_x import script
-from tigar_x.linear import direct
+from tigar_x.fem.linear import direct
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch
+from tigar_x.run.summary import table
 
 HERE = Path(__file__).resolve()
 NORMS = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
@@ -25,7 +27,7 @@ def measure(dim: int, level: int, tight: bool, steps: int) -> dict[str, Any]:
     options, solver = (TIGHT, direct()) if tight else (CouplingOptions(), None)
     fsi = demo.build(dim, level, whole, options, solver, projected=False, data=data)
     fsi.takeStep()
-    watch = script.Stopwatch()
+    watch = Stopwatch()
     with watch:
         for _ in range(steps - 1):
             fsi.takeStep()
@@ -75,7 +77,7 @@ def main(
         for count, r in zip(counts, results, strict=True)
     ]
     print(f"{dim}D level {level}, {steps} steps, {'tight' if tight else 'default'} tolerances")
-    print(script.table(("ranks", "largest relative difference of a norm", "wall s per step", "speed-up"), rows))
+    print(table(("ranks", "largest relative difference of a norm", "wall s per step", "speed-up"), rows))
 
 
 if __name__ == "__main__":

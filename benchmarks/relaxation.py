@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from stability import duct, long_advance, through_duct
 
 from coudalfish import CouplingOptions
-from coudalfish.trace import Location, PointLocator
-from tigar_x import compat, script
+from coudalfish.surface.trace import Location, PointLocator
+from tigar_x import compat
 from tigar_x.compat import FloatArray
+from tigar_x.run import script
 
 BETA = 50.0
 SHEETS: dict[str, dict[str, Any]] = {

@@ -14,7 +14,8 @@ from typing import Any
 
 import calibrate
 
-from tigar_x import script
+from tigar_x.run import script
+from tigar_x.run.summary import table, write_summary
 
 HERE = Path(__file__).resolve().parent
 DEMO = HERE.parent / "demos" / "scordelis_lo.py"
@@ -95,7 +96,7 @@ def against_targets(r: dict[str, Any], old: dict[str, float]) -> str:
         for name, target in TARGETS.items()
     ]
     total = sum(old[name] for name in ("extraction_cpu_s", "assembly_cpu_s", "solve_cpu_s"))
-    text = script.table(("scaled CPU s, MiB", "here", "target", "published code", "reached"), rows)
+    text = table(("scaled CPU s, MiB", "here", "target", "published code", "reached"), rows)
     ours = r["cpu_s_scaled"]
     return f"{text}\nall stages: {ours:.3f} s, published code {total:.1f} s: a factor of {total / ours:.0f}"
 
@@ -157,7 +158,7 @@ def main(
         run(out, cells, degree, counts[0])  # compiles
         for n in counts:
             rows.append(row([run(out, cells, degree, n) for _ in range(repeats)], speed))
-    text = script.table(COLUMNS, [cells_of(r, old) for r in rows])
+    text = table(COLUMNS, [cells_of(r, old) for r in rows])
     text += f"\nCPU seconds of stages are scaled: the machine is {speed:.2f} times as fast as the legacy one: {here}\n"
     finest = [r for r in rows if (r["degree"], r["elements"]) == TARGET_ROOF]
     if finest:
@@ -165,7 +166,7 @@ def main(
         text += against_targets(finest[0], old[TARGET_ROOF]) + "\n"
     print(text)
     inputs = {"degrees": degrees, "elements": elements, "cells": cells, "repeats": repeats}
-    summary = script.write_summary(out, "scordelis_lo", inputs, roofs=rows, calibration=here, speed=speed)
+    summary = write_summary(out, "scordelis_lo", inputs, roofs=rows, calibration=here, speed=speed)
     (out / "table.txt").write_text(text)
     plot(out / "scordelis_lo.png", rows, old)
     return summary

@@ -38,15 +38,19 @@ from coudalfish import (
 from shnapr.loads import inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import compat, script, shapes
-from tigar_x.linear import direct
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import Scheme, TimeIntegrator, backward_euler, generalized_alpha
-from varmint.boundary import stable_neumann, weak_dirichlet
+from tigar_x import compat
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import Scheme, backward_euler, generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
+from tigar_x.run import script
+from tigar_x.run.progress import rss_mib
+from tigar_x.splines.spline import ExtractedSpline
+from varmint.forms.boundary import stable_neumann, weak_dirichlet
+from varmint.forms.space import equal_order_space, split
+from varmint.forms.vms import interior_residual
 from varmint.mesh import named
-from varmint.space import equal_order_space, split
-from varmint.vms import interior_residual
 
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 HEADER = ("case", "value", "result", "passes mean/max", "observed", "message")
@@ -770,11 +774,11 @@ def long_run(value: tuple[int, str, float]) -> tuple[Reports, Observed]:
     fsi, W = scene.fsi, scene.fsi.shell.quadrature.weights
     reports, *_ = through_duct(scene, 100, ramp=60)
     reports = long_advance(fsi, steps // 2 - 100)
-    lam, memory = fsi.lam.copy(), script.rss_mib()
+    lam, memory = fsi.lam.copy(), rss_mib()
     reports = long_advance(fsi, steps // 2)
     drift = fsi.lam - lam
     return reports, {
-        "memory grows by [MiB]": script.rss_mib() - memory,
+        "memory grows by [MiB]": rss_mib() - memory,
         "multiplier drifts by": float(np.abs(drift).max()),
         "its mean by": abs(float(drift @ W)) / scene.length,
         "slip rms": reports[-1].monitors.normal_slip_rms if reports[-1].monitors else math.nan,

@@ -19,9 +19,10 @@ import numpy as np
 from load import legacy_valve, load_demo
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
-from tigar_x import script
 from tigar_x.compat import FloatArray
-from tigar_x.linear import LinearSolver, direct, gmres_ilu
+from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch, peak_rss_mib, rss_mib
 
 DEFAULT = CouplingOptions()
 REFERENCE = replace(CouplingOptions.reference(), block_rtol=1e-2)
@@ -102,13 +103,13 @@ def measure(case: Case) -> dict[str, Any]:
         solver=case.solver,
         data=data,
     )
-    watch, reports, rows, memory, failed = script.Stopwatch(), [], [], [], None
+    watch, reports, rows, memory, failed = Stopwatch(), [], [], [], None
     try:
         for _ in range(steps):
             with watch:
                 reports.append(valve.fsi.takeStep())
             rows.append((reports[-1].t, *valve.tips()[:, 0]))
-            memory.append(script.rss_mib())
+            memory.append(rss_mib())
     except StepError as error:
         failed = str(error)
     passes = [report.passes for report in reports] or [0]
@@ -124,7 +125,7 @@ def measure(case: Case) -> dict[str, Any]:
         "leaked_share": float(np.abs(leak).sum() / entered) if len(rows) else 0.0,
         "slip_ratio": max((report.slip_ratio for report in reports), default=0.0),
         "cpu_s": watch.cpu_s,
-        "peak_rss_mib": script.peak_rss_mib(),
+        "peak_rss_mib": peak_rss_mib(),
         "rss_growth_mib": memory[-1] - memory[min(9, len(memory) - 1)] if memory else 0.0,
         "dofs_fluid": valve.flow.unknowns,
     }
@@ -340,7 +341,7 @@ def compare(rows: list[dict[str, Any]], elements: int = 16) -> None:
     table.append(("published code", int(published["dofs_fluid"]), published["passes_mean"], step, 1.0, 1.0, growth))
     header = ("run", "fluid unknowns", "passes", "CPU s/step (scaled)", "ratio", "ratio of runs to T = 3", "MiB/step")
     print()
-    print(script.table(header, table))
+    print(table(header, table))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,9 @@ import numpy as np
 from load import load_demo
 
 from coudalfish import CouplingOptions, StepError, advance
-from tigar_x import script
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch
+from tigar_x.run.summary import write_summary
 
 demo = load_demo("heart_valve")
 SHORT = demo.Data(reversal=0.02)
@@ -118,7 +120,7 @@ def run(
     dt = case.dt_factor * DT
     chosen = demo.options_of("default") if options is None else options
     valve = demo.build(case.data, resolution, elements=ELEMENTS, dt=dt, options=chosen)
-    observe, outcome, watch = demo.Observer(valve), Outcome(valve, [], []), script.Stopwatch()
+    observe, outcome, watch = demo.Observer(valve), Outcome(valve, [], []), Stopwatch()
     for n in range(1, round(until / dt) + 1):
         try:
             with watch:
@@ -158,7 +160,7 @@ def main(only: str = "", until: float = UNTIL, out: Path = Path("results/benchma
     out.mkdir(parents=True, exist_ok=True)
     (out / "valve_extremes.md").write_text(table + "\n")
     finite = all(row[-1] == "finite" for row in rows)
-    return script.write_summary(out, "valve_extremes", {"until": until}, rows=rows, all_finite=bool(finite))
+    return write_summary(out, "valve_extremes", {"until": until}, rows=rows, all_finite=bool(finite))
 
 
 if __name__ == "__main__":

@@ -6,12 +6,12 @@ analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.c
 
 import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
 
-from coudalfish.band import SurfaceBand
 from coudalfish.coupler import CouDALFISh, advance
-from coudalfish.monitors import Monitors
-from coudalfish.options import CouplingOptions, PenaltyRule
-from coudalfish.report import StepError, StepReport
-from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.step.options import CouplingOptions, PenaltyRule
+from coudalfish.step.report import StepError, StepReport
+from coudalfish.surface.band import SurfaceBand
+from coudalfish.surface.monitors import Monitors
 
 __all__ = [
     "CouDALFISh",

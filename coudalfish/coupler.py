@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from coudalfish.levels import check_schemes
-from coudalfish.mesh_motion import check_levels
-from coudalfish.options import CouplingOptions, PenaltyRule
-from coudalfish.report import RejectedStepError, StepError, StepReport
-from coudalfish.step import Step
-from coudalfish.subproblems import FluidSubproblem, ShellSubproblem
-from coudalfish.trace import PointLocator
-from coudalfish.watch import Watch
+from coudalfish.sides.mesh_motion import check_levels
+from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.step.attempt import Step
+from coudalfish.step.levels import check_schemes
+from coudalfish.step.options import CouplingOptions, PenaltyRule
+from coudalfish.step.report import RejectedStepError, StepError, StepReport
+from coudalfish.step.watch import Watch
+from coudalfish.surface.trace import PointLocator
 from tigar_x import checks, ranks
 from tigar_x.compat import FloatArray
-from tigar_x.linear import SolveError
-from tigar_x.time_integration import TimeIntegrator
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.time_integration import TimeIntegrator
 
 log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""What a coupled run goes on from, for :class:`tigar_x.restart.Restart`."""
+"""What a coupled run goes on from, for :class:`tigar_x.run.restart.Restart`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,10 +7,10 @@ import numpy as np
 from dolfinx import fem
 
 from coudalfish.coupler import CouDALFISh
-from tigar_x.nodal import wave_sums
+from tigar_x.fem.nodal import wave_sums
+from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.ranks import first
-from tigar_x.restart import Integrators
-from tigar_x.time_integration import TimeIntegrator
+from tigar_x.run.restart import Integrators
 
 SAME = 1e-9
 """Difference of the immersed points' wave sums within which two shells are the same one."""

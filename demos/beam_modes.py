@@ -27,14 +27,18 @@ from scipy.optimize import brentq
 from shnapr.loads import inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent
-from tigar_x import checks, script, shapes
+from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.eigen import eigenmodes
-from tigar_x.output import VTUSeries
-from tigar_x.patch import Patch
-from tigar_x.refinement import Study, doubled, refine
-from tigar_x.spline import ExtractedSpline
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.eigen import eigenmodes
+from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.convergence import Study, doubled, refine
+from tigar_x.run.summary import write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
 
 TOY = {"degree": 2, "elements": 8, "levels": 3, "modes": 3}
 SUPPORTS = {"clamped-free": ("u0",), "simply-supported": ("u0", "u1")}
@@ -157,7 +161,7 @@ def main(
     inputs |= {"modes": count, "data": data}
     pairs = zip(solution.values, solution.exact, strict=True)
     qoi = by_mode({"value": value, "exact": exact} for value, exact in pairs)
-    summary = script.write_summary(out, "beam_modes", inputs, qoi=qoi, steps=count, **study.results())
+    summary = write_summary(out, "beam_modes", inputs, qoi=qoi, steps=count, **study.results())
     if MPI.COMM_WORLD.rank == 0:
         print(f"{support} beam, {geometry}, degree {p}; relative errors of omega^2")
         print(study.table())

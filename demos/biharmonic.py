@@ -25,14 +25,18 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 
-from tigar_x import checks, compat, script, shapes, surfaces
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.output import VTUSeries
-from tigar_x.patch import Patch
-from tigar_x.refinement import Study, doubled, refine
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
-from tigar_x.writing import claim, root_only
+from tigar_x.geometry import shapes, surfaces
+from tigar_x.geometry.patch import Patch
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.convergence import Study, doubled, refine
+from tigar_x.run.summary import write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
+from tigar_x.splines.vtu import VTUSeries
 
 TOY = {"degree": 2, "elements": 3, "levels": 3}
 WAVE = (3.0, 2.0)
@@ -139,7 +143,7 @@ def main(
         draw(out / "biharmonic.png", solution, study)
 
     inputs = {"geometry": geometry, "degree": degree, "elements": elements, "levels": levels}
-    summary = script.write_summary(out, "biharmonic", inputs, **study.results())
+    summary = write_summary(out, "biharmonic", inputs, **study.results())
     if MPI.COMM_WORLD.rank == 0:
         print(f"clamped plate, {geometry}, degree {degree}")
         print(study.table())

@@ -39,16 +39,21 @@ from shnapr.loads import edge_moment, edge_traction
 from shnapr.supports import pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work
-from tigar_x import checks, script, shapes
+from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.constraints import no_rotation
-from tigar_x.linear import SolveError
-from tigar_x.load_stepping import LoadReport, StepControl, follow_load
-from tigar_x.output import VTUSeries
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.load_stepping import LoadReport, StepControl, follow_load
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.geometry import shapes
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.constraints import no_rotation
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+from tigar_x.splines.vtu import VTUSeries
 
 DOI = "10.1016/j.finel.2003.11.001"
 PUBLISHED = {0.25: (-0.563, 3.015), 0.5: (-1.604, 4.933), 1.0: (-3.286, 6.698)}  # U, W by P/P_max
@@ -172,7 +177,7 @@ class LoadPath:
     loads: list[float]
     lines: list[FloatArray]
     newton: list[LoadReport]
-    costs: script.Stopwatch
+    costs: Stopwatch
 
     @property
     def tips(self) -> FloatArray:
@@ -192,7 +197,7 @@ class LoadPath:
 
 def follow(strip: Strip, each: Callable[[float], None] | None = None) -> LoadPath:
     """Raise the load to its full value by way of every one of ``LOADS``."""
-    watch, extra = script.Stopwatch(), script.Stopwatch()
+    watch, extra = Stopwatch(), Stopwatch()
     path = LoadPath(strip, [0.0], [strip.middle_line()], [], watch)
 
     def record(t: float) -> None:
@@ -270,7 +275,7 @@ def main(
 
     qoi = {f"{name}({t:g})": value for t in LOADS for name, value in zip("UW", quantities(path, t), strict=True)}
     inputs = {"load": load, "dim": dim, "degree": degree, "elements": elements, "formulation": formulation}
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "cantilever",
         inputs | {"data": data},
@@ -289,12 +294,12 @@ def main(
     return summary
 
 
-def quantities(path: LoadPath, t: float) -> tuple[script.Quantity, script.Quantity]:
+def quantities(path: LoadPath, t: float) -> tuple[Quantity, Quantity]:
     """U and W at a multiple of the full load, beside what is published (shear) or exact (moment)."""
     U, W = path.tip(t)
     strip = path.strip
     known, doi = (PUBLISHED[t], DOI) if strip.load == "shear" else (circle(2 * pi * t, strip.data), None)
-    return script.Quantity(U, known[0], doi), script.Quantity(W, known[1], doi)
+    return Quantity(U, known[0], doi), Quantity(W, known[1], doi)
 
 
 def errors(path: LoadPath) -> dict[str, float]:
@@ -321,10 +326,10 @@ def report(summary: dict[str, Any], path: LoadPath) -> None:
     print(f"{strip.load}, {summary['unknowns']} unknowns, {summary['steps']} load steps, {path.iterations} iterations")
     known = f"published (doi:{DOI})" if strip.load == "shear" else "exact circle"
     rows = [(name, q["value"], q["published"]) for name, q in summary["qoi"].items()]
-    print(script.table(("tip, by load", "computed", known), rows))
-    print(script.table(("error", "value"), summary["errors"].items()))
+    print(table(("tip, by load", "computed", known), rows))
+    print(table(("error", "value"), summary["errors"].items()))
     if "study" in summary:
-        print(script.table(summary["study"][0], [row.values() for row in summary["study"]]))
+        print(table(summary["study"][0], [row.values() for row in summary["study"]]))
 
 
 def thickness_study(load: str, dim: int, elements: int) -> list[dict[str, Any]]:

@@ -17,16 +17,20 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from tigar_x import checks, compat, script
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.output import CSVSeries
-from tigar_x.time_integration import generalized_alpha
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.progress import Progress, Stopwatch
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
-from varmint.mesh_gmsh import channel_with_cylinder
-from varmint.pictures import PlaneField
+from varmint.mesh.models import channel_with_cylinder
 from varmint.quantities import BoundaryForce, Measured, NodalField, PointValues, squared_divergence, vorticity
 
 TOY = {"reynolds": 20.0, "size": 0.15, "dt": 0.1, "until": 0.5, "steady": False}
@@ -145,7 +149,7 @@ def main(
     claim(out, overwrite=overwrite)
     flow = build(reynolds, degree, size, dt=None if steady else dt, rho_infinity=rho_infinity)
     flow.compile()
-    measure, watch = Coefficients(flow), script.Stopwatch()
+    measure, watch = Coefficients(flow), Stopwatch()
     if steady:
         with watch:
             report = flow.solve()
@@ -164,11 +168,11 @@ def main(
     steps = max(len(history), 1)
     inputs = {"reynolds": reynolds, "steady": steady, "degree": degree, "size": size, "dt": None if steady else dt}
     inputs |= {"until": until, "rho_infinity": rho_infinity}
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "cylinder",
         inputs,
-        qoi={k: script.Quantity(v, known.get(k), doi if k in known else None) for k, v in found.items()},
+        qoi={k: Quantity(v, known.get(k), doi if k in known else None) for k, v in found.items()},
         monitors={"divergence": Measured(square=squared_divergence(flow))()["square"] ** 0.5},
         steps=steps,
         newton_iterations_mean=iterations / steps,
@@ -182,7 +186,7 @@ def main(
         draw(out / "cylinder.png", field, curl, history, f"Re = {reynolds:g}")
     if MPI.COMM_WORLD.rank == 0:
         print(f"Re = {reynolds:g}, degree {degree}, {flow.unknowns} unknowns, {steps} steps, {watch.cpu_s:.3g} CPU s")
-        print(script.table(("quantity", "value", "published"), [(k, v, known.get(k, "-")) for k, v in found.items()]))
+        print(table(("quantity", "value", "published"), [(k, v, known.get(k, "-")) for k, v in found.items()]))
     return summary
 
 
@@ -194,11 +198,11 @@ def _movie(out: Path, flow: Flow, curl: NodalField | None = None) -> VTKHDFSerie
 
 
 def follow(
-    flow: Flow, measure: Coefficients, until: float, watch: script.Stopwatch, out: Path | None, pictures: int = 40
+    flow: Flow, measure: Coefficients, until: float, watch: Stopwatch, out: Path | None, pictures: int = 40
 ) -> tuple[FloatArray, int, int]:
     """Steps to the end: history of (t_alpha, drag, lift, dp), Newton and linear iterations in all."""
     steps = max(1, round(until / flow.time.step_size))
-    progress, rows, counts = script.Progress(steps), [], np.zeros(2, dtype=int)
+    progress, rows, counts = Progress(steps), [], np.zeros(2, dtype=int)
     curl = None if out is None else vorticity(flow)
     movie = None if out is None else _movie(out, flow, curl)
     log = (

@@ -11,7 +11,7 @@ contact, how alike the leaflets remain under a third of a turn, and the mean lea
 
 Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
 section 6, doi:10.1016/j.camwa.2020.01.023. The leaflets there come from a file; here they are those of
-`tigar_x.surfaces.leaflet`. Centimetres, grams, seconds.
+`tigar_x.geometry.surfaces.leaflet`. Centimetres, grams, seconds.
 """
 
 import logging
@@ -27,39 +27,38 @@ from mpi4py import MPI
 from dolfinx import fem
 from scipy.integrate import trapezoid
 
-from coudalfish import (
-    CouDALFISh,
-    CouplingOptions,
-    FluidSubproblem,
-    ShellSubproblem,
-    StepReport,
-    SurfaceBand,
-    advance,
-)
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, StepReport, SurfaceBand, advance
 from coudalfish.restart import CoupledState
 from shnapr.contact import LinearKernel, SelfContact
+from shnapr.contact.piercings import piercings
 from shnapr.hyperelastic import Hyperelastic, lee_sacks
 from shnapr.loads import inertia
 from shnapr.stress import resultants
 from shnapr.supports import clamped
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import Material, internal_tangent, internal_work
-from tigar_x import checks, compat, script, surfaces
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.linear import direct, gmres_ilu
-from tigar_x.multipatch import disjoint
-from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.projection import LumpedProjector
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.restart import Restart
-from tigar_x.ribbon import piercings
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, on_root, root_only
+from tigar_x.fem.linear import direct, gmres_ilu
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import surfaces
+from tigar_x.geometry.multipatch import disjoint
+from tigar_x.ranks import on_root, root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.progress import Progress, Stopwatch, rss_mib
+from tigar_x.run.restart import Restart
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
+from tigar_x.splines.projection import LumpedProjector
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
 from varmint.conditions import Resistance, Traction, Velocity
 from varmint.flow import Flow
-from varmint.mesh_aorta import aortic_root
+from varmint.mesh.aorta import aortic_root
 from varmint.quantities import Measured, PointValues, flow_rate
 
 log = logging.getLogger(__name__)
@@ -382,7 +381,7 @@ class History:
         zero = np.flatnonzero(q[lowest:] >= 0.0)
         return float(self.t[lowest + zero[0]]) if len(zero) else None
 
-    def quantities(self) -> dict[str, script.Quantity]:
+    def quantities(self) -> dict[str, Quantity]:
         """What the run amounts to."""
         q, t = self["flow_rate"], self.t
         forward = q[t <= self.reversal]
@@ -400,7 +399,7 @@ class History:
             found["closure_time"] = self.closure
             if closed.sum() > 2:
                 found |= self._leak(closed)
-        return {name: script.Quantity(value) for name, value in found.items()}
+        return {name: Quantity(value) for name, value in found.items()}
 
     def _leak(self, closed: Any) -> dict[str, float]:
         """Mean backflow of the closed valve in its last whole oscillation, or in all the time if there is none."""
@@ -498,8 +497,8 @@ def main(
         tally.setdefault(name, 0)
     spent = tally["wall_s"], tally["cpu_s"]
     every = max(1, steps // frames) if checks.whole("frames", frames, 0) else 0
-    observe, watch, memory = Observer(valve), script.Stopwatch(), []
-    progress = script.Progress(steps, done=run.step)
+    observe, watch, memory = Observer(valve), Stopwatch(), []
+    progress = Progress(steps, done=run.step)
     pictures = Pictures(out, valve, run) if viz else None
     with CSVSeries(out / "history.csv", COLUMNS, after=run.after) as history:
         for n in run.steps(progress):
@@ -513,7 +512,7 @@ def main(
             tally["linear_iterations"] += sum(r.linear_iterations for r in reports)
             tally["closing_ratio"] = max(tally["closing_ratio"], *(r.contact.closing_ratio for r in reports))
             tally["wall_s"], tally["cpu_s"] = spent[0] + watch.wall_s, spent[1] + watch.cpu_s
-            memory.append(script.rss_mib())
+            memory.append(rss_mib())
             progress.show(report)
             if every and (n % every == 0 or n == steps):
                 tally["piercings"] = max(tally["piercings"], leaflets.piercings())
@@ -528,7 +527,7 @@ def main(
         draw_histories(out / "histories.png", past)
         animate(out)
     domain = valve.flow.mesh.domain
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "heart_valve",
         inputs,
@@ -560,7 +559,7 @@ def main(
             f"{summary['cells']} cells, {summary['nodes_shell']} points, {steps} steps, {tally['cpu_s']:.4g} CPU s, "
             f"{summary['block_iterations_mean']:.2f} passes each"
         )
-        print(script.table(("quantity", "value"), [(name, q.value) for name, q in past.quantities().items()]))
+        print(table(("quantity", "value"), [(name, q.value) for name, q in past.quantities().items()]))
         if tally["piercings"]:
             log.warning("leaflets went through each other in %d places: reduce dt or refine them", tally["piercings"])
         print(f"piercings {tally['piercings']}, largest asymmetry {past['asymmetry'].max():.3g} cm")

@@ -32,16 +32,22 @@ from shnapr.kinematics import area_vector, midsurface
 from shnapr.loads import follower_pressure
 from shnapr.supports import clamped
 from shnapr.work import internal_tangent, internal_work, strain_energy
-from tigar_x import checks, compat, script, shapes
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.constraints import symmetry
-from tigar_x.line_search import LineSearch
-from tigar_x.load_stepping import LoadReport, StepControl, follow_load
-from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.line_search import LineSearch
+from tigar_x.fem.load_stepping import LoadReport, StepControl, follow_load
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.geometry import shapes
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.progress import Stopwatch
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.constraints import symmetry
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+from tigar_x.splines.vtu import VTUSeries
 
 TOY = {"elements": 4, "points": 2, "step": 0.25}
 HALF = 1.0  # half the side of the plate
@@ -176,7 +182,7 @@ def inflate(
     plate: Plate, *, step: float, growth: float, tolerance: float, each: Callable[[float], None] | None = None
 ) -> Inflation:
     """Raise the pressure, in steps of pseudo-time that begin with ``step``."""
-    watch, extra = script.Stopwatch(), script.Stopwatch()
+    watch, extra = Stopwatch(), Stopwatch()
     path, sections = [(0.0, 0.0, 0.0, 0.0)], [plate.position(MIDDLE)]
 
     def record(t: float) -> None:
@@ -283,17 +289,17 @@ def main(
         "tolerance": tolerance,
         "quarter": quarter,
     }
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "inflation",
         inputs,
         errors={"energy_balance": run.imbalance},
         qoi={
-            "height": script.Quantity(height),
-            "volume": script.Quantity(volume),
-            "energy": script.Quantity(energy),
-            "largest_stretch": script.Quantity(stretch.max()),
-            "smallest_thickness_ratio": script.Quantity(thinning.min()),
+            "height": Quantity(height),
+            "volume": Quantity(volume),
+            "energy": Quantity(energy),
+            "largest_stretch": Quantity(stretch.max()),
+            "smallest_thickness_ratio": Quantity(thinning.min()),
         },
         levels=[dict(zip(COLUMNS, run.path[-1].tolist(), strict=True)) for run in runs],
         rates=observed_rates(runs),
@@ -311,7 +317,7 @@ def main(
         rows = [
             (r.plate.elements, *r.path[-1, 1:].tolist(), r.imbalance, sum(r.load.iterations), r.cpu_s) for r in runs
         ]
-        print(script.table(names, rows))
+        print(table(names, rows))
         print(f"largest stretch {stretch.max():.4g}, thinnest {thinning.min():.4g} h")
     return summary
 

@@ -12,7 +12,8 @@ resolves. Strains are large: with h = 0.01 or ten times the pressure some load s
 reached.
 
 The load and all moduli are those of the demonstration of contact with planes that accompanies D. Kamensky,
-doi:10.1016/j.camwa.2020.01.023; the leaflet is that of `tigar_x.surfaces.leaflet`. Centimetres, grams, seconds.
+doi:10.1016/j.camwa.2020.01.023; the leaflet is that of `tigar_x.geometry.surfaces.leaflet`. Centimetres, grams,
+seconds.
 """
 
 from collections.abc import Callable
@@ -32,17 +33,23 @@ from shnapr.stress import resultants
 from shnapr.supports import pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy
-from tigar_x import checks, compat, script, surfaces
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.line_search import LineSearch
-from tigar_x.load_stepping import LoadReport, StepControl, follow_load
-from tigar_x.measures import SplineMeasure
-from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.projection import LumpedProjector
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.line_search import LineSearch
+from tigar_x.fem.load_stepping import LoadReport, StepControl, follow_load
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.geometry import surfaces
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.progress import Stopwatch
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.measures import SplineMeasure
+from tigar_x.splines.projection import LumpedProjector
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+from tigar_x.splines.vtu import VTUSeries
 
 TOY = {"degree": 2, "elements": 5, "step": 0.25}
 INDEX = 1  # the leaflet with its middle at the azimuth of 180 degrees
@@ -198,7 +205,7 @@ class Closure:
 
 def close(leaflet: Leaflet, *, step: float, tolerance: float, each: Callable[[float], None] | None = None) -> Closure:
     """Raise the pressure in steps of pseudo-time, which are cut where Newton's method fails."""
-    watch, extra, history = script.Stopwatch(), script.Stopwatch(), []
+    watch, extra, history = Stopwatch(), Stopwatch(), []
 
     def record(t: float) -> None:
         with extra:
@@ -297,12 +304,12 @@ def main(
         "tolerance": tolerance,
     }
     quantities = ("energy", "centre_radius", "centre_z", "contact_force", "touching")
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "leaflet",
         inputs,
         errors={"force_balance": forces.imbalance, "pressure_resultant": forces.boundary_error},
-        qoi={name: script.Quantity(run.final(name)) for name in quantities},
+        qoi={name: Quantity(run.final(name)) for name in quantities},
         levels=[dict(zip(COLUMNS, run.history[-1].tolist(), strict=True)) for run in runs],
         rates=observed_rates(runs),
         monitors={
@@ -326,7 +333,7 @@ def main(
         rows = [
             (r.leaflet.elements, *(r.final(name) for name in quantities), sum(r.load.iterations), r.cpu_s) for r in runs
         ]
-        print(script.table(("elements", *quantities, "Newton iterations", "CPU s"), rows))
+        print(table(("elements", *quantities, "Newton iterations", "CPU s"), rows))
         print(
             f"force balance {forces.imbalance:.1e}, resultant of the pressure {forces.boundary_error:.1e}, mean depth "
             f"{summary['monitors']['mean_depth']:.3g} (pressure/stiffness {data.pressure / data.stiffness:.3g})"

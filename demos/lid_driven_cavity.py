@@ -18,16 +18,19 @@ from typing import Any, Literal
 import ufl
 from mpi4py import MPI
 
-from tigar_x import checks, compat, script
-from tigar_x.refinement import Study, doubled, refine
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, root_only
+from tigar_x import checks, compat
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.convergence import Study, doubled, refine
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.summary import write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
 from varmint.conditions import WeakVelocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms.space import split
 from varmint.mesh import box
-from varmint.pictures import PlaneField
 from varmint.quantities import Measured, squared_divergence
-from varmint.space import split
 
 DOI = "10.1016/j.camwa.2020.01.023"
 TOY = {"degree": 1, "elements": 4, "levels": 2}
@@ -139,7 +142,7 @@ def main(
 
     inputs = {"degree": k, "elements": elements, "levels": levels, "cells": cells, "reynolds": reynolds}
     divergence = Measured(square=squared_divergence(flow))()["square"] ** 0.5
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "lid_driven_cavity",
         inputs,

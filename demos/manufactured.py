@@ -30,20 +30,27 @@ from coudalfish.restart import CoupledState
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import checks, compat, script, shapes
-from tigar_x.linear import LinearSolver, direct
-from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.restart import Restart
-from tigar_x.solve import FiniteElementSystem
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, root_only
-from varmint.boundary import weak_dirichlet
+from tigar_x import checks, compat
+from tigar_x.fem.linear import LinearSolver, direct
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.progress import Progress, Stopwatch, rss_mib
+from tigar_x.run.restart import Restart
+from tigar_x.run.summary import table, write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
+from varmint.forms.boundary import weak_dirichlet
+from varmint.forms.space import equal_order_space, split
+from varmint.forms.vms import interior_residual
 from varmint.mesh import named
-from varmint.pictures import PlaneField
-from varmint.space import equal_order_space, split
-from varmint.vms import interior_residual
 
 DOI = "10.1016/j.camwa.2020.01.023"
 TOY = {"level": 1, "dt_factor": 1.0}
@@ -306,14 +313,14 @@ def main(
     if restart:
         run.read(restart)
 
-    watch, progress = script.Stopwatch(), script.Progress(steps, done=run.step)
+    watch, progress = Stopwatch(), Progress(steps, done=run.step)
     numbers, memory = run.extra.setdefault("steps", []), []
     pictures = Pictures(out, fsi, run) if viz else None
     for _ in run.steps(progress):
         with watch:
             report = fsi.takeStep()
         numbers.append(in_numbers(report))
-        memory.append(script.rss_mib())
+        memory.append(rss_mib())
         progress.show(report)
         if pictures:
             pictures.write(report)
@@ -324,7 +331,7 @@ def main(
 
     passes = [step["passes"] for step in numbers]
     measured = errors(fsi, data, data.T, 2)
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "manufactured",
         inputs,
@@ -353,7 +360,7 @@ def main(
         print(
             f"level {level}, preset {preset}, {steps} steps, {watch.cpu_s:.3g} CPU s, {np.mean(passes):.2f} passes each"
         )
-        print(script.table(["norm", "error (degree 2)", "error (degree 8)", f"published code (doi:{DOI})"], rows))
+        print(table(["norm", "error (degree 2)", "error (degree 8)", f"published code (doi:{DOI})"], rows))
     return summary
 
 

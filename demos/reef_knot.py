@@ -29,23 +29,30 @@ import ufl
 from mpi4py import MPI
 
 from shnapr.contact import LinearKernel, SelfContact
-from shnapr.contact_system import ContactSystem
+from shnapr.contact.piercings import piercings
+from shnapr.contact.system import ContactSystem
 from shnapr.loads import dead_load, inertia, mass_damping
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy
-from tigar_x import checks, compat, script, shapes
-from tigar_x.bspline import BSplineBasis, open_knots
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.linear import SolveError
-from tigar_x.multipatch import MultiPatch, disjoint
-from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.ranks import agreed
-from tigar_x.ribbon import CentreLine, Crossings, piercings, ribbon
-from tigar_x.solve import NewtonReport, newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import TimeIntegrator, backward_euler
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.schemes import backward_euler
+from tigar_x.fem.solve import NewtonReport, newton
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.multipatch import MultiPatch, disjoint
+from tigar_x.geometry.ribbon import CentreLine, Crossings, ribbon
+from tigar_x.ranks import agreed, root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.progress import Progress, Stopwatch, rss_mib
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
 
 log = logging.getLogger(__name__)
 
@@ -382,7 +389,7 @@ def main(
     every = max(1, steps // checks.whole("pictures", pictures, 1))
     claim(out, overwrite=overwrite)
     scene = Scene(data, checks.whole("resolution", resolution, 1), dt)
-    run, watch, progress = Run(scene), script.Stopwatch(), script.Progress(steps)
+    run, watch, progress = Run(scene), Stopwatch(), Progress(steps)
 
     memory, states, knots, pierced = [], [(0.0, scene.positions)], [scene.crossings()], [scene.piercings()]
     files = Files(out, scene) if viz else None
@@ -390,7 +397,7 @@ def main(
         before = run.ledger.newton_iterations
         with watch:
             run.advance(dt)
-        memory.append(script.rss_mib())
+        memory.append(rss_mib())
         if n % every == 0 or n == steps:
             states.append((scene.time.time, scene.positions))
             knots.append(scene.crossings())
@@ -408,16 +415,16 @@ def main(
     if determinants != [SQUARE_KNOT] or any(pierced):
         log.warning("the ribbons went through each other: determinants %s, %d piercings", determinants, max(pierced))
     inputs = {"steps": steps, "dt_factor": dt_factor, "resolution": resolution, "pictures": pictures}
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "reef_knot",
         inputs,
         qoi={
-            "force_in_held_ends": script.Quantity(-run.row["held_1"]),
-            "force_of_load": script.Quantity(float(scene.force[0])),
-            "smallest_distance": script.Quantity(ledger.distance),
-            "contact_pairs": script.Quantity(float(run.row["pairs"])),
-            "length_of_knot": script.Quantity(float(first[:, 0].max() - second[:, 0].min())),
+            "force_in_held_ends": Quantity(-run.row["held_1"]),
+            "force_of_load": Quantity(float(scene.force[0])),
+            "smallest_distance": Quantity(ledger.distance),
+            "contact_pairs": Quantity(float(run.row["pairs"])),
+            "length_of_knot": Quantity(float(first[:, 0].max() - second[:, 0].min())),
         },
         steps=steps,
         time=scene.time.time,
@@ -436,8 +443,8 @@ def main(
     )
     if MPI.COMM_WORLD.rank == 0:
         print(f"{steps} steps to t = {scene.time.time:.4g}, {watch.cpu_s:.3g} CPU s, {ledger.failures} cut")
-        print(script.table(["quantity", "value"], [(name, q["value"]) for name, q in summary["qoi"].items()]))
-        print(script.table(["monitor", "value"], summary["monitors"].items()))
+        print(table(["quantity", "value"], [(name, q["value"]) for name, q in summary["qoi"].items()]))
+        print(table(["monitor", "value"], summary["monitors"].items()))
     return summary
 
 

@@ -27,13 +27,18 @@ from shnapr.stress import resultants
 from shnapr.supports import pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work
-from tigar_x import checks, script, surfaces
+from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.functions import Cells
-from tigar_x.output import VTUSeries
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.writing import claim, root_only
+from tigar_x.geometry import surfaces
+from tigar_x.geometry.functions import Cells
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.progress import Stopwatch, peak_rss_mib
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.writing import claim
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+from tigar_x.splines.vtu import VTUSeries
 
 PUBLISHED = 0.3006
 TOY = {"degree": 3, "elements": 4}
@@ -74,7 +79,7 @@ class Roof:
         self, data: Data, degree: int, elements: int, cells: str = "quad", quadrature: int | None = None
     ) -> None:
         self.data = data
-        self.costs = {stage: script.Stopwatch() for stage in STAGES}
+        self.costs = {stage: Stopwatch() for stage in STAGES}
         p, n = checks.whole("degree", degree, 2), checks.whole("elements", elements, 1)
         kind = CELLS[checks.choice("cells", cells, tuple(CELLS))]
         with self.costs["geometry and extraction"]:
@@ -154,7 +159,7 @@ def main(
     claim(out, overwrite=overwrite)
     roof = Roof(Data(), degree, elements, cells, quadrature)
     roof.solve()
-    memory, w = script.peak_rss_mib(), roof.sinking()
+    memory, w = peak_rss_mib(), roof.sinking()
     if viz:
         write_resultants(out / "scordelis_lo", roof)
         draw(out / "scordelis_lo.png", roof)
@@ -162,12 +167,12 @@ def main(
     costs = {stage: watch.cpu_s for stage, watch in roof.costs.items()}
     inputs = {"degree": degree, "elements": elements, "cells": cells, "data": roof.data}
     inputs["quadrature"] = roof.spline.quadrature_degree
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "scordelis_lo",
         inputs,
         errors={"sinking": abs(w / PUBLISHED - 1.0)},
-        qoi={"sinking": script.Quantity(w, PUBLISHED)},
+        qoi={"sinking": Quantity(w, PUBLISHED)},
         unknowns=roof.unknowns,
         nonzeros=int(roof.system.A.getInfo()["nz_used"]),
         stages_cpu_s=costs,
@@ -179,7 +184,7 @@ def main(
     if MPI.COMM_WORLD.rank == 0:
         print(f"degree {degree}, {elements} x {elements} elements ({cells}), {roof.unknowns} unknowns")
         print(f"the midpoint of a straight edge sinks by {w:.6f}; published: {PUBLISHED} (Kiendl 2011)")
-        print(script.table(("stage", "CPU s"), costs.items()))
+        print(table(("stage", "CPU s"), costs.items()))
         print(f"peak memory {summary['solver_peak_rss_mib']:.0f} MiB")
     return summary
 

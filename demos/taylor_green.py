@@ -21,20 +21,23 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 
-from tigar_x import checks, compat, script
-from tigar_x.output import CSVSeries
-from tigar_x.refinement import Study, doubled, refine
-from tigar_x.time_integration import generalized_alpha
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, root_only
-from varmint import ale
+from tigar_x import checks, compat
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.convergence import Study, doubled, refine
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.summary import write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
 from varmint.conditions import Slip
 from varmint.flow import Flow, FlowOptions
+from varmint.forms import ale
+from varmint.forms.motion import PrescribedMotion
+from varmint.forms.space import split
 from varmint.mesh import box
-from varmint.motion import PrescribedMotion
-from varmint.pictures import PlaneField
 from varmint.quantities import Measured, kinetic_energy, volume
-from varmint.space import split
 
 DOI = "10.1016/j.camwa.2020.01.023"
 TOY = {"elements": 4, "levels": 2, "moving_mesh": True}
@@ -173,7 +176,7 @@ def main(
         "cells": cells,
         "rho_infinity": rho_infinity,
     }
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "taylor_green",
         inputs,

@@ -18,20 +18,24 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from tigar_x import checks, script
+from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.linear import direct
-from tigar_x.output import CSVSeries
-from tigar_x.time_integration import backward_euler, generalized_alpha
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.progress import Progress, Stopwatch, rss_mib
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
-from varmint.mesh_gmsh import channel_with_cylinder
-from varmint.motion import ElasticMotion
-from varmint.pictures import PlaneField
+from varmint.forms.motion import ElasticMotion
+from varmint.forms.solids import Solid, StVenantKirchhoff
+from varmint.mesh.models import channel_with_cylinder
 from varmint.quantities import BoundaryForce, NodalField, vorticity
-from varmint.solids import Solid, StVenantKirchhoff
 
 DOI = "10.1007/3-540-34596-5_15"
 TOY = {"size": 0.12, "beam_size": 0.03, "degree": 1, "dt": 0.01, "until": 0.1}
@@ -158,7 +162,7 @@ def main(
     flow = build(size, beam_size, degree, dt, scheme)
     flow.compile()
     force, tip = BoundaryForce(flow, "cylinder", "interface"), Tip(flow)
-    watch, progress, memory = script.Stopwatch(), script.Progress(steps), []
+    watch, progress, memory = Stopwatch(), Progress(steps), []
     pictures = Pictures(out, flow, steps) if viz else None
     rows, counts = [], np.zeros(3, dtype=int)
     for n in progress:
@@ -166,7 +170,7 @@ def main(
             report = flow.take_step(force)
         counts += report.iterations, report.linear_iterations, report.tangents
         rows.append((report.t, report.t_alpha, *tip(), *report.measured, flow.moving.smallest_volume_ratio()))
-        memory.append(script.rss_mib())
+        memory.append(rss_mib())
         progress.show(f"t = {report.t:.4g}  iterations {report.iterations}  u_y {rows[-1][3]:.4g}")
         if pictures:
             pictures.write(n, rows[-1])
@@ -179,9 +183,9 @@ def main(
         found = last_oscillation(*course(history, name))
         for kind, value, known in zip(("mean", "amplitude", "frequency"), found, published, strict=True):
             if np.isfinite(value):
-                qoi[f"{name}_{kind}"] = script.Quantity(value, known, DOI)
+                qoi[f"{name}_{kind}"] = Quantity(value, known, DOI)
     inputs = {"size": size, "beam_size": beam_size, "degree": degree, "dt": dt, "until": until, "scheme": scheme}
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "turek_hron_fsi3",
         inputs,
@@ -199,7 +203,7 @@ def main(
     )
     if MPI.COMM_WORLD.rank == 0:
         print(f"{flow.unknowns} unknowns, {steps} steps to t = {history[-1, 0]:g}, {watch.cpu_s:.4g} CPU s")
-        print(script.table(("quantity", "value", "published"), [(k, q.value, q.published) for k, q in qoi.items()]))
+        print(table(("quantity", "value", "published"), [(k, q.value, q.published) for k, q in qoi.items()]))
     return summary
 
 

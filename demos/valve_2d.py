@@ -31,21 +31,28 @@ from shnapr.loads import inertia
 from shnapr.supports import clamped
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy
-from tigar_x import checks, script, shapes
+from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.linear import LinearSolver, direct
-from tigar_x.multipatch import disjoint
-from tigar_x.output import CSVSeries, VTUSeries
-from tigar_x.restart import Restart
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
-from tigar_x.vtkhdf import VTKHDFSeries
-from tigar_x.writing import claim, root_only
+from tigar_x.fem.linear import LinearSolver, direct
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.geometry.multipatch import disjoint
+from tigar_x.ranks import root_only
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.progress import Progress, Stopwatch, rss_mib
+from tigar_x.run.restart import Restart
+from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries
+from tigar_x.run.writing import claim
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
 from varmint.conditions import Condition, Slip, Traction, WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import NamedMesh, box
-from varmint.mesh_arrays import mirrored_box
-from varmint.pictures import PlaneField
+from varmint.mesh.arrays import mirrored_box
 from varmint.quantities import Measured, NodalField, kinetic_energy, vorticity
 
 DOI = "10.1016/j.cma.2014.10.040"
@@ -272,7 +279,7 @@ def extrema(t: FloatArray, x: FloatArray) -> dict[str, tuple[float, float]]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def compare(columns: dict[str, FloatArray]) -> tuple[dict[str, float], dict[str, script.Quantity]]:
+def compare(columns: dict[str, FloatArray]) -> tuple[dict[str, float], dict[str, Quantity]]:
     """Deviations from the published peaks and troughs, and all quantities, from the columns of all steps."""
     t, bottom, top = (columns[name] for name in ("t", "bottom_x", "top_x"))
     known = {f"peak_{n}": peak for n, peak in enumerate(PEAKS, 1)}
@@ -280,13 +287,13 @@ def compare(columns: dict[str, FloatArray]) -> tuple[dict[str, float], dict[str,
     errors, qoi = {}, {}
     for name, (time, value) in extrema(t, top).items():
         known_time, known_value = known[name]
-        qoi[f"top_{name}"] = script.Quantity(value, known_value, DOI)
-        qoi[f"top_{name}_time"] = script.Quantity(time, known_time, None if known_time is None else DOI)
+        qoi[f"top_{name}"] = Quantity(value, known_value, DOI)
+        qoi[f"top_{name}_time"] = Quantity(time, known_time, None if known_time is None else DOI)
         errors[name] = abs(value - known_value)
         if known_time is not None:
             errors[f"{name}_time"] = abs(time - known_time)
-    qoi |= {f"bottom_{name}": script.Quantity(value) for name, (_, value) in extrema(t, bottom).items()}
-    qoi |= {"top_end": script.Quantity(float(top[-1])), "bottom_end": script.Quantity(float(bottom[-1]))}
+    qoi |= {f"bottom_{name}": Quantity(value) for name, (_, value) in extrema(t, bottom).items()}
+    qoi |= {"top_end": Quantity(float(top[-1])), "bottom_end": Quantity(float(bottom[-1]))}
     return errors, qoi
 
 
@@ -354,14 +361,14 @@ def main(
     if restart:
         run.read(restart)
 
-    watch, progress = script.Stopwatch(), script.Progress(steps, done=run.step)
+    watch, progress = Stopwatch(), Progress(steps, done=run.step)
     numbers, memory = run.extra.setdefault("steps", []), []
     pictures = Pictures(out, valve, run, max(1, steps // FRAMES)) if viz else None
     for n in run.steps(progress):
         with watch:
             report = fsi.takeStep()
         numbers.append(in_numbers(report, valve.tips()))
-        memory.append(script.rss_mib())
+        memory.append(rss_mib())
         progress.show(report)
         if pictures:
             pictures.write(n, numbers[-1])
@@ -374,7 +381,7 @@ def main(
     depth = data.depth if dim == 3 else 1.0
     entered = data.inflow(columns["t"], valve.ramp).sum()
     errors, qoi = compare(columns)
-    summary = script.write_summary(
+    summary = write_summary(
         out,
         "valve_2d",
         {**inputs, "until": until},
@@ -401,7 +408,7 @@ def main(
         head = f"{valve.flow.unknowns} fluid unknowns, preset {preset}, {steps} steps to t = {columns['t'][-1]:g}"
         print(f"{head}, {watch.cpu_s:.4g} CPU s, {summary['block_iterations_mean']:.2f} passes each")
         shown = [(name, q.value, "-" if q.published is None else q.published) for name, q in qoi.items()]
-        print(script.table(["quantity", "value", f"published (doi:{DOI})"], shown))
+        print(table(["quantity", "value", f"published (doi:{DOI})"], shown))
     return summary
 
 

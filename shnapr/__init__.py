@@ -5,7 +5,7 @@ is read from the spline. Sources: Kiendl et al., doi:10.1016/j.cma.2009.08.013 a
 
 Materials are in :mod:`~shnapr.svk` and :mod:`~shnapr.hyperelastic`, their virtual work in :mod:`~shnapr.work`, loads
 and supports in :mod:`~shnapr.loads` and :mod:`~shnapr.supports`, stresses in :mod:`~shnapr.stress`. Shells meet rigid
-planes (:mod:`~shnapr.planes`), themselves and each other (:mod:`~shnapr.contact`, :mod:`~shnapr.contact_system`).
+planes (:mod:`~shnapr.planes`), themselves and each other (:mod:`~shnapr.contact`).
 """
 
 import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)

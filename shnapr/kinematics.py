@@ -9,7 +9,7 @@ from typing import Any
 
 import ufl
 
-from tigar_x.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import ufl
 
 from shnapr.kinematics import area_vector, midsurface
 from tigar_x import checks
-from tigar_x.measures import SideMeasure, require_sides
-from tigar_x.spline import ExtractedSpline
+from tigar_x.splines.measures import SideMeasure, require_sides
+from tigar_x.splines.spline import ExtractedSpline
 
 
 def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any, thickness: Any) -> ufl.Form:

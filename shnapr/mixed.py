@@ -11,7 +11,8 @@ Of the contravariant components n^11 is of degree p - 1 in the first direction a
 way round, and n^12 of degree p - 1 in both. Compare Echter, Oesterle and Bischoff, doi:10.1016/j.cma.2012.10.018, and
 Bouclier, Elguedj and Combescure, doi:10.1016/j.cma.2012.06.008.
 
-An edge is clamped by its position and its slope (:func:`tigar_x.constraints.no_rotation`). Two rows of control points
+An edge is clamped by its position and its slope (:func:`tigar_x.splines.constraints.no_rotation`). Two rows of control
+points
 that are held in full would exclude strain at the edge whatever n may be: more than there is freedom for.
 
 The unknown w has the nsd components of the displacement y and then those of n in the order 11, 22, 12, each as physical
@@ -31,10 +32,10 @@ from dolfinx import fem
 from shnapr.kinematics import Midsurface, frame, membrane_strain, midsurface
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work
-from tigar_x.bspline import BSplineBasis, TensorBasis
-from tigar_x.functions import SplineFunctions
-from tigar_x.space import SplineSpace
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry.bspline import BSplineBasis, TensorBasis
+from tigar_x.geometry.functions import SplineFunctions
+from tigar_x.splines.space import SplineSpace
+from tigar_x.splines.spline import ExtractedSpline
 
 COMPONENTS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 """Directions of the contravariant membrane forces by parametric dimension, in the order of the unknown."""

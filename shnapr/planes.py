@@ -9,7 +9,7 @@ import ufl
 
 from shnapr.kinematics import midsurface
 from tigar_x import checks
-from tigar_x.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import ufl
 from ufl.algorithms import extract_coefficients
 
 from shnapr.kinematics import Midsurface, midsurface
-from tigar_x.lines import folds
-from tigar_x.multipatch import MultiPatch, as_multipatch
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry.lines import folds
+from tigar_x.geometry.multipatch import MultiPatch, as_multipatch
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +54,8 @@ def require_bending(spline: ExtractedSpline, material: Any) -> None:
         names = ", ".join(lines[:NAMED]) + (f" and {len(lines) - NAMED} more" if len(lines) > NAMED else "")
         log.warning(
             "shell: functions are only C0 at %s: it turns there as on a hinge. If none is meant, take constraints = "
-            "[smooth_joints(geometry)] of tigar_x.constraints for glued sides and [smooth_lines(geometry)] for knots "
+            "[smooth_joints(geometry)] of tigar_x.splines.constraints for glued sides and [smooth_lines(geometry)] for "
+            "knots "
             "inside a patch that are repeated as often as the degree, or a degree above 1",
             names,
         )

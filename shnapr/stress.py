@@ -13,7 +13,7 @@ import ufl
 from shnapr.kinematics import Midsurface, dual_frame, frame, layer_metric, midsurface
 from shnapr.work import Material, conjugates
 from tigar_x import checks
-from tigar_x.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline
 
 
 class Solid(Protocol):

@@ -1,6 +1,6 @@
 """Supports of a shell's edges, by name, and of whole shells: degrees of freedom of the displacement that do not move.
 
-Symmetry, which ties degrees of freedom to each other, is in :func:`tigar_x.constraints.symmetry`.
+Symmetry, which ties degrees of freedom to each other, is in :func:`tigar_x.splines.constraints.symmetry`.
 """
 
 from collections.abc import Sequence
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tigar_x.compat import IntArray
-from tigar_x.multipatch import MultiPatch, as_multipatch, outside
-from tigar_x.patch import Patch
+from tigar_x.geometry.multipatch import MultiPatch, as_multipatch, outside
+from tigar_x.geometry.patch import Patch
 
 
 def clamped(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None) -> IntArray:
@@ -17,7 +17,7 @@ def clamped(geometry: Patch | MultiPatch, *sides: str, patch: int | None = None)
 
     This is how the published analyses clamp. Held in all components, the second row keeps the edge's elements from
     stretching across the edge as well, an error of first order in their size; :func:`pinned` with
-    :func:`tigar_x.constraints.no_rotation` holds the tangent plane alone.
+    :func:`tigar_x.splines.constraints.no_rotation` holds the tangent plane alone.
 
     Args:
         geometry: the shell, with open knot vectors across these edges.

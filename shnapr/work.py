@@ -24,7 +24,7 @@ import ufl
 from shnapr.kinematics import Midsurface, midsurface
 from shnapr.smoothness import require_bending
 from tigar_x import compat
-from tigar_x.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline
 
 
 class Material(Protocol):

@@ -12,18 +12,20 @@ from mpi4py import MPI
 from scenes import sheet_in_flow
 
 from coudalfish.restart import CoupledState
-from tigar_x import compat, shapes
-from tigar_x.output import VTUSeries, XDMFSeries
-from tigar_x.restart import Restart
-from tigar_x.saved import load_extraction, save_extraction
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import generalized_alpha
+from tigar_x import compat
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.geometry import shapes
+from tigar_x.run.output import XDMFSeries
+from tigar_x.run.plane_field import PlaneField
+from tigar_x.run.restart import Restart
+from tigar_x.splines.saved import load_extraction, save_extraction
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
 from varmint.conditions import Slip, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow
+from varmint.forms.motion import PrescribedMotion
 from varmint.mesh import box
-from varmint.mesh_arrays import checked
-from varmint.motion import PrescribedMotion
-from varmint.pictures import PlaneField
+from varmint.mesh.arrays import checked
 from varmint.quantities import BoundaryForce, Measured, PointValues, flow_rate, volume, vorticity, wall_shear_stress
 
 COMM = MPI.COMM_WORLD

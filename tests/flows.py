@@ -9,9 +9,9 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat
-from tigar_x.solve import FiniteElementSystem
-from varmint.space import equal_order_space, split
-from varmint.vms import interior_residual
+from tigar_x.fem.solve import FiniteElementSystem
+from varmint.forms.space import equal_order_space, split
+from varmint.forms.vms import interior_residual
 
 RHO, MU, DT = 1.3, 0.07, 0.11
 H = 0.25

@@ -12,9 +12,9 @@ from scenes import sheet_in_flow
 
 from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState
-from tigar_x import script
-from tigar_x.output import CSVSeries
-from tigar_x.restart import Restart
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.restart import Restart
 
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 

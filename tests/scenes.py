@@ -12,16 +12,18 @@ from shnapr.loads import inertia
 from shnapr.supports import fixed
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import compat, shapes
-from tigar_x.linear import direct
-from tigar_x.multipatch import disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
-from varmint.boundary import weak_dirichlet
-from varmint.space import equal_order_space, split
-from varmint.vms import interior_residual
+from tigar_x import compat
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+from varmint.forms.boundary import weak_dirichlet
+from varmint.forms.space import equal_order_space, split
+from varmint.forms.vms import interior_residual
 
 
 def taylor_hood_residual(v, p, w, q, domain, *, rho, mu, v_t):

@@ -7,12 +7,13 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 
-from tigar_x import compat, shapes
-from tigar_x.bspline import BSplineBasis, open_knots, periodic_knots
-from tigar_x.multipatch import as_multipatch
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots, periodic_knots
+from tigar_x.geometry.multipatch import as_multipatch
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 WORLD = MPI.COMM_WORLD
 SPANS = 2  # per quarter of a circle

@@ -10,12 +10,12 @@ from shnapr.loads import dead_load
 from shnapr.supports import clamped, pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import shapes, surfaces
-from tigar_x.eigen import eigenmodes
-from tigar_x.multipatch import glued
-from tigar_x.solve import newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.fem.eigen import eigenmodes
+from tigar_x.fem.solve import newton
+from tigar_x.geometry import shapes, surfaces
+from tigar_x.geometry.multipatch import glued
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 
 def roof():

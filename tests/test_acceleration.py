@@ -8,7 +8,7 @@ import pytest
 from scenes import sheet_in_flow
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError, advance
-from coudalfish.acceleration import Anderson
+from coudalfish.step.acceleration import Anderson
 
 STIFF = CouplingOptions(penalty=PenaltyRule(300.0, 0.0), block_rtol=1e-5, second_attempt=False, max_passes=40)
 

@@ -3,8 +3,8 @@
 import pytest
 
 from coudalfish import CouplingOptions
-from coudalfish.acceptance import GROWTH_LIMIT, STALL, Acceptance
-from coudalfish.report import RejectedStepError
+from coudalfish.step.acceptance import GROWTH_LIMIT, STALL, Acceptance
+from coudalfish.step.report import RejectedStepError
 
 RTOL = 0.1
 COUPLING = (1e9, 1e9)

@@ -10,10 +10,10 @@ from dolfinx import fem
 from flows import DT, MU, RHO, Flow, assembled, moved_to, randomise, slope_error
 
 from tigar_x import compat
-from varmint import ale
-from varmint.ale import Motion
-from varmint.boundary import stable_neumann, weak_dirichlet, weak_slip
-from varmint.vms import element_metric, interior_residual, momentum_residual
+from varmint.forms import ale
+from varmint.forms.ale import Motion
+from varmint.forms.boundary import stable_neumann, weak_dirichlet, weak_slip
+from varmint.forms.vms import element_metric, interior_residual, momentum_residual
 
 KINDS = [("triangle", 1), ("triangle", 2), ("quadrilateral", 1), ("tetrahedron", 1)]
 

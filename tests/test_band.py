@@ -6,7 +6,7 @@ from mpi4py import MPI
 from dolfinx import mesh
 
 from coudalfish import SurfaceBand
-from coudalfish.trace import PointLocator
+from coudalfish.surface.trace import PointLocator
 from tigar_x import compat
 
 

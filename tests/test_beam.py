@@ -13,11 +13,11 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 from shnapr.loads import dead_load
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import shapes
-from tigar_x.solve import newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper
+from tigar_x.fem.solve import newton
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
 
 E, NU = 3.0e4, 0.3
 

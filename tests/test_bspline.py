@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tigar_x.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
+from tigar_x.geometry.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
 
 DEGREES = (1, 2, 3, 4)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from shnapr.supports import clamped, fixed, pinned
-from tigar_x import shapes, surfaces
-from tigar_x.constraints import no_rotation
-from tigar_x.multipatch import glued
-from tigar_x.patch import Patch
+from tigar_x.geometry import shapes, surfaces
+from tigar_x.geometry.multipatch import glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.constraints import no_rotation
 
 PANEL = surfaces.cylinder_panel(radius=2.0, length=1.5, angle=1.2, elements=(3, 4), degrees=(3, 3))
 

@@ -8,15 +8,15 @@ from dolfinx import fem
 from flows import MU, RHO, assembled, randomise
 
 from tigar_x import compat
-from tigar_x.time_integration import backward_euler, generalized_alpha
-from varmint import ale
-from varmint.boundary import stable_neumann, weak_dirichlet, weak_slip
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
 from varmint.conditions import Resistance, Slip, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms import ale
+from varmint.forms.boundary import stable_neumann, weak_dirichlet, weak_slip
+from varmint.forms.motion import PrescribedMotion
+from varmint.forms.space import split
+from varmint.forms.vms import element_metric, interior_residual, stress
 from varmint.mesh import box, named
-from varmint.motion import PrescribedMotion
-from varmint.space import split
-from varmint.vms import element_metric, interior_residual, stress
 
 SIDES = ("left", "right", "bottom", "top")
 FACES = (*SIDES, "back", "front")

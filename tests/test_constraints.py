@@ -10,13 +10,13 @@ from splines import energy, quarter, radial, rectangle, turned
 from shnapr.supports import clamped, pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.constraints import no_rotation, null_space, smooth_joints, symmetry, tied
-from tigar_x.multipatch import as_multipatch, disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.multipatch import as_multipatch, disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.constraints import no_rotation, null_space, smooth_joints, symmetry, tied
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 # -- elimination ------------------------------------------------------------------------------------------------------
 

@@ -9,11 +9,11 @@ from mpi4py import MPI
 
 from shnapr import contact
 from shnapr.contact import LinearKernel, SelfContact, SmoothedKernel
-from tigar_x import shapes
-from tigar_x.linear import SolveError
-from tigar_x.multipatch import disjoint, glued
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.spline import ExtractedSpline
+from tigar_x.fem.linear import SolveError
+from tigar_x.geometry import shapes
+from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
 
 R_MAX = 0.4
 LINEAR, SMOOTHED = LinearKernel(R_MAX, 3.0), SmoothedKernel(R_MAX, 3.0, 0.6)

@@ -8,17 +8,18 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from shnapr.contact import LinearKernel, SelfContact, SmoothedKernel
-from shnapr.contact_system import ContactSystem
+from shnapr.contact.system import ContactSystem
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import shapes
-from tigar_x.load_stepping import follow_load
-from tigar_x.multipatch import disjoint
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.solve import newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import LoadStepper, TimeIntegrator, generalized_alpha
+from tigar_x.fem.load_stepping import follow_load
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.solve import newton
+from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.geometry.multipatch import disjoint
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
 
 GAP, R_MAX = 0.1, 0.08
 

@@ -10,8 +10,9 @@ from scenes import sheet_in_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
 from tigar_x import compat
-from tigar_x.linear import gmres_ilu
-from tigar_x.time_integration import TimeIntegrator, backward_euler, generalized_alpha
+from tigar_x.fem.linear import gmres_ilu
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
 
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 
@@ -381,7 +382,7 @@ def test_bad_physics_is_refused_before_computing(name, value):
 
 
 def test_memory_does_not_grow():
-    from tigar_x.script import rss_mib
+    from tigar_x.run.progress import rss_mib
 
     scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.02, 0.0))
     for _ in range(20):

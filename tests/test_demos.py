@@ -14,7 +14,7 @@ import pytest
 from load import load_demo
 from on_disk import DEMOS, ROOT, read_vtkhdf
 
-from tigar_x import writing
+from tigar_x.run import writing
 
 BEFORE_THE_END = {
     "cylinder": 1 / 3,

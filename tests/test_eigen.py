@@ -16,11 +16,12 @@ from splines import integral, quarter
 from shnapr.loads import inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import eigen, shapes
-from tigar_x.eigen import eigenmodes, eigenpairs
-from tigar_x.linear import SolveError
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
+from tigar_x.fem import eigen
+from tigar_x.fem.eigen import eigenmodes, eigenpairs
+from tigar_x.fem.linear import SolveError
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
 
 
 def slepc():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from coudalfish import exchange
-from coudalfish.monitors import measure
+from coudalfish.surface import exchange
+from coudalfish.surface.monitors import measure
 
 RNG = np.random.default_rng(0)
 POINTS, NODES, BETA = 30, 12, 3.7

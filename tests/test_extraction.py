@@ -7,9 +7,9 @@ from dolfinx import fem
 from splines import PATCHES, RATIONAL, WORLD, coefficients, integral, spline
 
 from tigar_x import compat
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 pytestmark = pytest.mark.mpi
 

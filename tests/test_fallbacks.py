@@ -9,7 +9,16 @@ from petsc4py import PETSc
 from scenes import sheet_in_flow
 
 from coudalfish import StepError
-from tigar_x.linear import LinearSolver, PreparedSolver, SolveError, automatic, direct, gmres_ilu, gmres_sor, multigrid
+from tigar_x.fem.linear import (
+    LinearSolver,
+    PreparedSolver,
+    SolveError,
+    automatic,
+    direct,
+    gmres_ilu,
+    gmres_sor,
+    multigrid,
+)
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowError, FlowOptions
 from varmint.mesh import box

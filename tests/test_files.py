@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from geometry import grid
 
-from tigar_x import files, shapes, surfaces
-from tigar_x.bspline import BSplineBasis
-from tigar_x.patch import Patch
+from tigar_x.geometry import files, shapes, surfaces
+from tigar_x.geometry.bspline import BSplineBasis
+from tigar_x.geometry.patch import Patch
 
 WRITTEN_BY_HAND = """\
 3

@@ -12,19 +12,19 @@ from mpi4py import MPI
 from dolfinx import fem
 from flows import randomise, slope_error
 
-from coudalfish.subproblems import FluidSubproblem
+from coudalfish.sides.subproblems import FluidSubproblem
 from tigar_x import compat
-from tigar_x.linear import SolveError, direct, gmres_ilu
-from tigar_x.solve import newton
-from tigar_x.time_integration import backward_euler, generalized_alpha
-from varmint import ale
-from varmint.attachments import pressure_pin
+from tigar_x.fem.linear import SolveError, direct, gmres_ilu
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.fem.solve import newton
 from varmint.conditions import Resistance, Slip, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowError, FlowOptions
+from varmint.flow.attachments import pressure_pin
+from varmint.forms import ale
+from varmint.forms.motion import ElasticMotion, MeshInversionError, PrescribedMotion
+from varmint.forms.solids import Solid, StVenantKirchhoff
 from varmint.mesh import box, named
-from varmint.motion import ElasticMotion, MeshInversionError, PrescribedMotion
 from varmint.quantities import Measured, flow_rate, volume
-from varmint.solids import Solid, StVenantKirchhoff
 
 COMM = MPI.COMM_WORLD
 SIDES = ("left", "right", "bottom", "top")

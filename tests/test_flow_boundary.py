@@ -10,8 +10,8 @@ from mpi4py import MPI
 from flows import MU, RHO, Flow, assembled
 
 from tigar_x import compat
-from varmint.boundary import stable_neumann, weak_dirichlet
-from varmint.vms import stress
+from varmint.forms.boundary import stable_neumann, weak_dirichlet
+from varmint.forms.vms import stress
 
 DS = {"quadrature_degree": 5}
 

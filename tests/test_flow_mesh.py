@@ -9,14 +9,16 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from tigar_x import compat
-from tigar_x.writing import on_root
-from varmint import mesh_elements, mesh_files
-from varmint.mesh import CELLS, NamedMesh, box, grid, named
-from varmint.mesh_arrays import checked, distributed, from_arrays
-from varmint.mesh_checks import FACETS, MeshArrays, checked_arrays, extruded
-from varmint.mesh_elements import Block, Elements
-from varmint.mesh_files import read
-from varmint.mesh_gmsh import channel_with_cylinder, from_gmsh
+from tigar_x.ranks import on_root
+from varmint.mesh import NamedMesh, box, grid, named
+from varmint.mesh import elements as mesh_elements
+from varmint.mesh import files as mesh_files
+from varmint.mesh.arrays import checked, distributed, from_arrays
+from varmint.mesh.checks import FACETS, MeshArrays, checked_arrays, extruded
+from varmint.mesh.elements import Block, Elements
+from varmint.mesh.files import read
+from varmint.mesh.models import channel_with_cylinder, from_gmsh
+from varmint.mesh.named import CELLS
 
 COMM = MPI.COMM_WORLD
 KINDS = [*CELLS[2], *CELLS[3]]

@@ -5,7 +5,7 @@ import pytest
 from load import load_demo
 
 from tigar_x import compat
-from tigar_x.linear import LARGE, MEDIUM, automatic, direct, gmres_ilu, multigrid
+from tigar_x.fem.linear import LARGE, MEDIUM, automatic, direct, gmres_ilu, multigrid
 
 CAVITY, VORTEX = load_demo("lid_driven_cavity"), load_demo("taylor_green")
 

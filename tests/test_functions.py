@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from tigar_x.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
-from tigar_x.functions import SplineFunctions
+from tigar_x.geometry.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
+from tigar_x.geometry.functions import SplineFunctions
 
 
 def basis(degree, ticks, periodic=False):

@@ -11,12 +11,13 @@ from scenes import free_sheet
 from test_solids import beam_flow
 
 from coudalfish import FluidSubproblem, ShellSubproblem, SurfaceBand
-from tigar_x.linear import direct, gmres_ilu
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from tigar_x.fem.linear import direct, gmres_ilu
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Resistance, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms.motion import PrescribedMotion
 from varmint.mesh import box
-from varmint.motion import PrescribedMotion
 
 pytestmark = pytest.mark.mpi
 SIDES = ("left", "right", "bottom", "top")
@@ -31,8 +32,8 @@ def without_compilation(monkeypatch):
     def refuse(*_, **__):
         raise NoCompilationError
 
-    monkeypatch.setattr("coudalfish.subproblems.FiniteElementSystem", refuse)
-    monkeypatch.setattr("coudalfish.subproblems.SplineSystem", refuse)
+    monkeypatch.setattr("coudalfish.sides.subproblems.FiniteElementSystem", refuse)
+    monkeypatch.setattr("coudalfish.sides.subproblems.SplineSystem", refuse)
 
 
 def square():

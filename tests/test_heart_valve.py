@@ -13,8 +13,8 @@ from load import load_demo
 from mpi_runs import mpirun
 
 from coudalfish import CouplingOptions
-from coudalfish.watch import CLOSING_LIMIT
-from tigar_x import surfaces
+from coudalfish.step.watch import CLOSING_LIMIT
+from tigar_x.geometry import surfaces
 
 demo = load_demo("heart_valve")
 

@@ -14,9 +14,10 @@ from shnapr.hyperelastic import Hyperelastic, lee_sacks, neo_hookean
 from shnapr.loads import follower_pressure
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy, virtual_work
-from tigar_x import compat, shapes
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 VALUES = dict(c0=3.0, c1=0.8, c2=2.0, thickness=0.06)
 EDGES = np.array([[1.0, 0.0, 0.0], [0.3, 0.8, 0.0]])

@@ -9,7 +9,7 @@ import pytest
 from mpi_runs import outside
 from scenes import sheet_in_flow
 
-from tigar_x.spline_system import SplineSystem
+from tigar_x.splines.spline_system import SplineSystem
 
 OPTIONAL = {"gmsh", "meshio", "matplotlib", "splipy", "h5py", "slepc4py"}
 
@@ -30,11 +30,11 @@ def loaded_by(statement):
     [
         "coudalfish",
         "varmint.quantities",
-        "varmint.mesh_gmsh",
+        "varmint.mesh.models",
         "shnapr.svk",
-        "shnapr.contact_system",
-        "tigar_x.surfaces",
-        "tigar_x.eigen",
+        "shnapr.contact.system",
+        "tigar_x.geometry.surfaces",
+        "tigar_x.fem.eigen",
     ],
 )
 def test_import_pulls_in_nothing_optional(package):
@@ -46,12 +46,12 @@ def test_the_check_sees_an_optional_library():
 
 
 def test_flow_needs_no_spline_or_shell():
-    code = "import varmint.flow, varmint.quantities, varmint.pictures, varmint.mesh_files, varmint.mesh_gmsh"
+    code = "import varmint.flow, varmint.quantities, tigar_x.run.plane_field, varmint.mesh.files, varmint.mesh.models"
     loaded = modules_loaded_by(code)
     assert not {name.split(".")[0] for name in loaded} & {"shnapr", "coudalfish"}
     splines = ("spline", "space", "patch", "multipatch", "bspline", "functions", "extraction", "constraints", "shapes")
     assert not loaded & {f"tigar_x.{name}" for name in splines}
-    assert "tigar_x.linear" in loaded
+    assert "tigar_x.fem.linear" in loaded
 
 
 def test_no_contact_object_without_contact():

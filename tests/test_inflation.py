@@ -9,7 +9,7 @@ import ufl
 from load import load_demo
 
 from shnapr.loads import dead_load
-from tigar_x.linear import SolveError
+from tigar_x.fem.linear import SolveError
 
 DEMO = load_demo("inflation")
 NEO_HOOKEAN = DEMO.CASES["neo-hookean"]

@@ -7,10 +7,11 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from shnapr.kinematics import Midsurface, curvature_change, local_voigt, membrane_strain, midsurface
-from tigar_x import compat, shapes
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 HALF_ANGLE = np.pi / 5  # of the circle arcs: one span of 72 degrees
 

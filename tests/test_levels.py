@@ -7,18 +7,19 @@ from mpi4py import MPI
 from dolfinx import fem
 from scenes import sheet_in_flow
 
-from coudalfish import CouplingOptions, FluidSubproblem, exchange
-from coudalfish.step import Step
-from coudalfish.trace import PointLocator, trace_matrix
+from coudalfish import CouplingOptions, FluidSubproblem
+from coudalfish.step.attempt import Step
+from coudalfish.surface import exchange
+from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import compat
-from tigar_x.solve import FiniteElementSystem
-from tigar_x.time_integration import generalized_alpha
-from varmint.attachments import ROUNDED
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
+from varmint.flow.attachments import ROUNDED
+from varmint.forms.motion import ElasticMotion
+from varmint.forms.solids import Solid, StVenantKirchhoff, mesh_residual, solid_residual
 from varmint.mesh import box, named
-from varmint.motion import ElasticMotion
-from varmint.solids import Solid, StVenantKirchhoff, mesh_residual, solid_residual
 
 COMM = MPI.COMM_SELF
 SIDES = ("left", "right", "bottom", "top")

@@ -13,14 +13,14 @@ from shnapr.loads import dead_load
 from shnapr.supports import pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy
-from tigar_x import shapes, surfaces
-from tigar_x.bspline import BSplineBasis
-from tigar_x.constraints import no_rotation, null_space, smooth_joints, smooth_lines
-from tigar_x.lines import folds
-from tigar_x.multipatch import as_multipatch, disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.geometry import shapes, surfaces
+from tigar_x.geometry.bspline import BSplineBasis
+from tigar_x.geometry.lines import folds
+from tigar_x.geometry.multipatch import as_multipatch, disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.constraints import no_rotation, null_space, smooth_joints, smooth_lines
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 
 def folding(geometry, constraints=(), fixed=()):

@@ -11,11 +11,11 @@ from petsc4py import PETSc
 from test_beam import PLANE_STRAIN, cantilever, elastica
 
 from tigar_x import compat
-from tigar_x.line_search import LineSearch
-from tigar_x.linear import SolveError
-from tigar_x.load_stepping import StepControl, follow_load
-from tigar_x.solve import FiniteElementSystem, newton
-from tigar_x.time_integration import LoadStepper
+from tigar_x.fem.line_search import LineSearch
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.load_stepping import StepControl, follow_load
+from tigar_x.fem.solve import FiniteElementSystem, newton
+from tigar_x.fem.time_integration import LoadStepper
 
 
 def pointwise(f, *, step=1.0, start=0.0, comm=MPI.COMM_WORLD):

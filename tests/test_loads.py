@@ -13,13 +13,14 @@ from shnapr.kinematics import area_vector
 from shnapr.loads import dead_load, edge_moment, edge_traction, follower_pressure, gravity, inertia, mass_damping
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work
-from tigar_x import compat, shapes
-from tigar_x.bspline import BSplineBasis
-from tigar_x.patch import Patch
-from tigar_x.solve import newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper
+from tigar_x import compat
+from tigar_x.fem.solve import newton
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
 
 A, B = np.array([2.0, 0.0, 0.0]), np.array([1.0, 3.0, 4.0])  # sides of the parallelogram
 SIZES = {"line": 5.0, "arc": np.pi / 2, "parallelogram": np.linalg.norm(np.cross(A, B)), "cylinder": np.pi}

@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial import cKDTree
 from splines import PATCHES, half_disc
 
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
-from tigar_x.locate import closest_points
-from tigar_x.multipatch import disjoint, glued
-from tigar_x.patch import Patch
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
+from tigar_x.geometry.locate import closest_points
+from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.patch import Patch
 
 
 def crumpled(degrees, nsd, periodic=False, seed=0):

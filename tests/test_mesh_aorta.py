@@ -6,7 +6,7 @@ from mpi4py import MPI
 from scipy.integrate import trapezoid
 
 from tigar_x import compat
-from varmint.mesh_aorta import aortic_root
+from varmint.mesh.aorta import aortic_root
 
 COMM = MPI.COMM_WORLD
 VOLUME = 10.65

@@ -8,9 +8,9 @@ from mpi4py import MPI
 from dolfinx import io, mesh
 
 from tigar_x import compat
-from tigar_x.output import on_root
-from varmint.mesh_files import read
-from varmint.mesh_gmsh import from_gmsh
+from tigar_x.run.output import on_root
+from varmint.mesh.files import read
+from varmint.mesh.models import from_gmsh
 
 COMM = MPI.COMM_WORLD
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))

@@ -4,9 +4,9 @@ import pytest
 from mpi4py import MPI
 
 from tigar_x import compat
-from tigar_x.output import on_root
-from varmint.mesh_files import read
-from varmint.mesh_scripts import HARMFUL, HARMLESS, plain_script
+from tigar_x.run.output import on_root
+from varmint.mesh.files import read
+from varmint.mesh.scripts import HARMFUL, HARMLESS, plain_script
 
 COMM = MPI.COMM_WORLD
 SQUARE = """SetFactory("OpenCASCADE");

@@ -13,11 +13,11 @@ from shnapr.loads import dead_load, edge_traction
 from shnapr.supports import clamped, pinned
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work
-from tigar_x import shapes, surfaces
-from tigar_x.constraints import no_rotation
-from tigar_x.solve import newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.fem.solve import newton
+from tigar_x.geometry import shapes, surfaces
+from tigar_x.splines.constraints import no_rotation
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 E, NU, H = 3.0e3, 0.3, 0.1
 HOW = ("displacement", "mixed")

@@ -9,12 +9,12 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import compat
-from tigar_x.linear import SolveError, gmres_ilu
-from tigar_x.time_integration import backward_euler, companion, generalized_alpha
-from varmint.ale import position
+from tigar_x.fem.linear import SolveError, gmres_ilu
+from tigar_x.fem.schemes import backward_euler, companion, generalized_alpha
+from varmint.forms.ale import position
+from varmint.forms.motion import ElasticMotion, MeshInversionError, MeshMotion, PrescribedMotion
 from varmint.mesh import box, grid, named
-from varmint.mesh_arrays import from_arrays
-from varmint.motion import ElasticMotion, MeshInversionError, MeshMotion, PrescribedMotion
+from varmint.mesh.arrays import from_arrays
 
 COMM = MPI.COMM_WORLD
 SIDES = ("left", "right", "bottom", "top")

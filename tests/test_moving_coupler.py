@@ -15,15 +15,16 @@ from scenes import free_sheet, sheet_in_flow
 from test_solids import beam_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepError, SurfaceBand, advance
-from coudalfish.mesh_motion import check_levels, displacement_of_cells
-from coudalfish.trace import PointLocator, trace_matrix
+from coudalfish.sides.mesh_motion import check_levels, displacement_of_cells
+from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import compat
-from tigar_x.linear import SolveError, direct
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from tigar_x.fem.linear import SolveError, direct
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import WeakVelocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.mesh import box
-from varmint.motion import ElasticMotion, PrescribedMotion
 from varmint.quantities import BoundaryForce
 
 COMM = MPI.COMM_WORLD

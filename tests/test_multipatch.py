@@ -9,11 +9,11 @@ import pytest
 from mpi4py import MPI
 from splines import energy, half_disc, poisson, quarter, radial, rectangle, turned
 
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.multipatch import MultiPatch, as_multipatch, disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.multipatch import MultiPatch, as_multipatch, disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 
 def weighted(patch, factor):
@@ -117,7 +117,7 @@ def test_control_points_off_an_edge_are_not_glued_to_a_corner():
 
 
 def said(caplog, level):
-    return [r.getMessage() for r in caplog.records if r.name == "tigar_x.gluing" and r.levelno == level]
+    return [r.getMessage() for r in caplog.records if r.name == "tigar_x.geometry.gluing" and r.levelno == level]
 
 
 def test_what_is_joined_is_said(caplog):

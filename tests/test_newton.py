@@ -14,13 +14,15 @@ from shnapr import loads
 from shnapr.supports import clamped
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_work
-from tigar_x import compat, shapes
-from tigar_x.line_search import LineSearch, search
-from tigar_x.linear import SolveError
-from tigar_x.solve import FiniteElementSystem, newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import TimeIntegrator, backward_euler
+from tigar_x import compat
+from tigar_x.fem.line_search import LineSearch, search
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.schemes import backward_euler
+from tigar_x.fem.solve import FiniteElementSystem, newton
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
 
 
 def nonlinear_poisson(*, exact_tangent=True, start=0.0):

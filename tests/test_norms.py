@@ -10,15 +10,15 @@ from mpi4py import MPI
 from scenes import sheet_in_flow
 
 from coudalfish import CouplingOptions
-from coudalfish.floors import ROUNDED
 from coudalfish.restart import CoupledState
-from coudalfish.scales import directions, median_size
-from coudalfish.slip import SHARE_OF_LOAD
-from coudalfish.step import Step
-from tigar_x.linear import gmres_ilu
-from tigar_x.time_integration import generalized_alpha
+from coudalfish.sides.scales import directions, median_size
+from coudalfish.step.attempt import Step
+from coudalfish.step.floors import ROUNDED
+from coudalfish.surface.slip import SHARE_OF_LOAD
+from tigar_x.fem.linear import gmres_ilu
+from tigar_x.fem.schemes import generalized_alpha
+from varmint.forms.motion import ElasticMotion
 from varmint.mesh import box, grid
-from varmint.motion import ElasticMotion
 
 COMM = MPI.COMM_SELF
 

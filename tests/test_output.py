@@ -10,10 +10,11 @@ from dolfinx import fem, mesh
 from splines import WORLD, spline
 
 from tigar_x import compat
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.patch import Patch
+from tigar_x.run.output import CSVSeries, XDMFSeries
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.vtu import VTUSeries
 
 MARKS = ("a & b", "a < b", "b > a", 'say "x"', "\N{GREEK SMALL LETTER OMEGA}")
 """Names that need care in XML or beyond ASCII."""

@@ -5,14 +5,14 @@ import pytest
 from mpi4py import MPI
 from geometry import grid
 
-from coudalfish.trace import Location
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, open_knots, periodic_knots
-from tigar_x.locate import closest_points
-from tigar_x.multipatch import glued
-from tigar_x.patch import SIDES, Patch
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.spline import ExtractedSpline
+from coudalfish.surface.trace import Location
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots, periodic_knots
+from tigar_x.geometry.locate import closest_points
+from tigar_x.geometry.multipatch import glued
+from tigar_x.geometry.patch import SIDES, Patch
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
 
 QUADRATIC = BSplineBasis(2, open_knots(2, [0, 1]))
 LINE = BSplineBasis(1, open_knots(1, [0, 1, 2]))  # 3 functions

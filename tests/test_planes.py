@@ -10,9 +10,10 @@ from dolfinx import fem
 from scipy.interpolate import BSpline
 
 from shnapr.planes import RigidPlane, plane_contact
-from tigar_x import compat, shapes
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 # -- pressure ----------------------------------------------------------------------------------------------------------
 

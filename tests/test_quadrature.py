@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from tigar_x import compat, shapes, surfaces
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.patch import Patch
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.spline import ExtractedSpline
+from tigar_x import compat
+from tigar_x.geometry import shapes, surfaces
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
 
 ELEMENTS = 3
 

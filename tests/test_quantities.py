@@ -7,12 +7,13 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import compat
-from tigar_x.time_integration import backward_euler, generalized_alpha
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
 from varmint.conditions import Slip, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
+from varmint.forms.solids import Solid, StVenantKirchhoff
 from varmint.mesh import box, grid, named
-from varmint.mesh_arrays import from_arrays
-from varmint.motion import ElasticMotion, PrescribedMotion
+from varmint.mesh.arrays import from_arrays
 from varmint.quantities import (
     BoundaryForce,
     Measured,
@@ -27,7 +28,6 @@ from varmint.quantities import (
     vorticity,
     wall_shear_stress,
 )
-from varmint.solids import Solid, StVenantKirchhoff
 
 COMM = MPI.COMM_WORLD
 SIDES = ("left", "right", "bottom", "top")

@@ -9,10 +9,10 @@ from scenes import sheet_in_flow
 from test_coupled_contact import approaching
 
 from coudalfish import CouplingOptions, StepError
-from coudalfish.report import RejectedStepError
+from coudalfish.step.report import RejectedStepError
 from tigar_x import ranks
-from tigar_x.linear import SolveError
-from tigar_x.writing import PATIENCE
+from tigar_x.fem.linear import SolveError
+from tigar_x.ranks import PATIENCE
 
 COMM = MPI.COMM_WORLD
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)  # residuals are decided on where rounding is in them

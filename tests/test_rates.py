@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from load import load_demo
 
-from tigar_x.patch import Patch
-from tigar_x.refinement import refine
+from tigar_x.geometry.patch import Patch
+from tigar_x.run.convergence import refine
 
 POISSON, BIHARMONIC, BEAM = (load_demo(name) for name in ("poisson", "biharmonic", "beam_modes"))
 TOLERANCE = 0.15

@@ -7,8 +7,8 @@ import pytest
 from load import load_demo
 from scipy.spatial import cKDTree
 
-from tigar_x.linear import SolveError
-from tigar_x.ribbon import Crossings
+from tigar_x.fem.linear import SolveError
+from tigar_x.geometry.ribbon import Crossings
 
 demo = load_demo("reef_knot")
 DT = 1e-3

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tigar_x.refinement import Level, Study, doubled, refine
+from tigar_x.run.convergence import Level, Study, doubled, refine
 
 
 def level(n, **errors):

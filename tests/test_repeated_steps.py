@@ -16,8 +16,8 @@ from test_flow import cavity
 from test_solids import beam_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepError
-from tigar_x.linear import SolveError, gmres_ilu
-from tigar_x.time_integration import generalized_alpha
+from tigar_x.fem.linear import SolveError, gmres_ilu
+from tigar_x.fem.schemes import generalized_alpha
 from varmint.flow import FlowError
 
 SMOOTHED = CouplingOptions(relaxation=0.5, relaxation_mode="smoothed")

@@ -8,11 +8,11 @@ from mpi4py import MPI
 from load import load_demo
 from test_load_stepping import pointwise
 
-from tigar_x.linear import SolveError
-from tigar_x.load_stepping import StepControl, follow_load
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.load_stepping import StepControl, follow_load
+from tigar_x.fem.solve import newton
 from tigar_x.ranks import first
-from tigar_x.solve import newton
-from tigar_x.spline_system import SplineSystem
+from tigar_x.splines.spline_system import SplineSystem
 
 COMM = MPI.COMM_WORLD
 pytestmark = [pytest.mark.mpi, pytest.mark.skipif(COMM.size == 1, reason="one rank cannot differ from itself")]

@@ -11,8 +11,8 @@ from scenes import free_sheet
 
 from coudalfish import CouDALFISh, FluidSubproblem, SurfaceBand
 from tigar_x import compat
-from tigar_x.linear import direct, gmres_ilu
-from tigar_x.time_integration import backward_euler, generalized_alpha
+from tigar_x.fem.linear import direct, gmres_ilu
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
 from varmint.conditions import Resistance, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box

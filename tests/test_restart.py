@@ -22,12 +22,12 @@ from test_coupled_contact import approaching
 
 from coudalfish import PenaltyRule
 from coudalfish.restart import CoupledState
-from tigar_x.restart import Integrators, Restart
-from tigar_x.time_integration import generalized_alpha
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.run.restart import Integrators, Restart
 from varmint.conditions import Velocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.mesh import box
-from varmint.motion import ElasticMotion, PrescribedMotion
 
 WORLD = MPI.COMM_WORLD
 STEPS, BREAK = 6, 3
@@ -380,7 +380,7 @@ def test_a_run_that_dies_while_it_writes_goes_on_from_the_checkpoint_before(tmp_
 import os, signal, sys
 from pathlib import Path
 import restarted
-from tigar_x import output
+from tigar_x.run import output
 
 def half(file_descriptor, sync=os.fsync):
     part = next(Path({str(tmp_path)!r}).glob("checkpoints/*00000003.npz.part"), None)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.ribbon import CentreLine, Crossings, piercings, ribbon
+from shnapr.contact.piercings import piercings
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.ribbon import CentreLine, Crossings, ribbon
 
 T = np.linspace(0.0, 2 * np.pi, 300, endpoint=False)
 CLOSED = {

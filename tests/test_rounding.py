@@ -10,11 +10,11 @@ from petsc4py import PETSc
 from test_newton import nonlinear_poisson
 from test_solids import GRAVITY, SOFT, beam_flow, static_deflection, tip
 
-from tigar_x import rounding
-from tigar_x.linear import SolveError
-from tigar_x.solve import newton
-from tigar_x.time_integration import backward_euler
-from varmint.solids import NeoHookean
+from tigar_x.fem import rounding
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.schemes import backward_euler
+from tigar_x.fem.solve import newton
+from varmint.forms.solids import NeoHookean
 
 
 @pytest.mark.mpi

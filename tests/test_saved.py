@@ -10,14 +10,14 @@ import ufl
 from mpi4py import MPI
 from splines import WORLD, integral, quarter
 
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.constraints import smooth_joints
-from tigar_x.multipatch import glued
-from tigar_x.patch import Patch
-from tigar_x.saved import load_extraction, save_extraction
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
-from tigar_x.writing import on_root
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.multipatch import glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.ranks import on_root
+from tigar_x.splines.constraints import smooth_joints
+from tigar_x.splines.saved import load_extraction, save_extraction
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 pytestmark = pytest.mark.mpi
 
@@ -169,7 +169,8 @@ def test_nothing_of_the_generator_is_needed(tmp_path):
     path = tmp_path / "shell.npz"
     save_extraction(path, model("cylinder", MPI.COMM_SELF))
     program = (
-        "import sys; from mpi4py import MPI; from tigar_x.saved import load_extraction; from tigar_x import compat\n"
+        "import sys; from mpi4py import MPI\n"
+        "from tigar_x import compat; from tigar_x.splines.saved import load_extraction\n"
         f"s = load_extraction({str(path)!r}, MPI.COMM_SELF)\n"
         "print(compat.assemble_scalar(compat.compile_forms(1.0 * s.dx)[0]))\n"
     )

@@ -10,7 +10,7 @@ from load import load_demo
 
 from shnapr import mixed
 from shnapr.loads import dead_load
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 demo = load_demo("scordelis_lo")
 FINE = 0.3005925  # what degrees 4 and 5 agree on

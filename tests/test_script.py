@@ -15,7 +15,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from tigar_x import compat, script
+from tigar_x import compat
+from tigar_x.run import progress, script
+from tigar_x.run.progress import Progress, Stopwatch, Termination, peak_rss_mib, rss_mib
+from tigar_x.run.summary import Quantity, table, write_summary
 
 
 @pytest.fixture(autouse=True)
@@ -126,26 +129,26 @@ def test_help_comes_from_the_docstring(capsys):
 
 def test_command_line_shows_the_log_of_the_packages_only(capsys):
     script.command_line(lambda: None, [])
-    logging.getLogger("tigar_x.solve").info("a step of ours")
+    logging.getLogger("tigar_x.fem.solve").info("a step of ours")
     logging.getLogger("ffcx").info("a form compiler's chatter")
     logging.getLogger("ffcx").warning("a form compiler's warning")
     logging.getLogger("tigar_x_like").info("a stranger")
     text = capsys.readouterr().err
-    assert text == "INFO tigar_x.solve: a step of ours\nWARNING ffcx: a form compiler's warning\n"
+    assert text == "INFO tigar_x.fem.solve: a step of ours\nWARNING ffcx: a form compiler's warning\n"
 
 
 # -- progress ---------------------------------------------------------------------------------------------------------
 
 
 def run(n_steps, **options):
-    progress = script.Progress(n_steps, **options)
+    progress = Progress(n_steps, **options)
     for n in progress:
         progress.show(SimpleNamespace(t=0.5 * n, passes=3, residuals=[(1.0, 2.0), (1.5e-4, 3e-9)]))
 
 
 @pytest.mark.parametrize(("n_steps", "lines", "expected"), [(3, 10, [1, 2, 3]), (100, 4, [25, 50, 75, 100])])
 def test_progress_logs_where_there_is_no_terminal(n_steps, lines, expected, caplog):
-    with caplog.at_level(logging.INFO, logger="tigar_x.script"):
+    with caplog.at_level(logging.INFO, logger="tigar_x.run.progress"):
         run(n_steps, lines=lines)
     messages = [r.getMessage() for r in caplog.records]
     assert [m.split("  ")[0] for m in messages] == [f"step {n}/{n_steps}" for n in expected]
@@ -153,7 +156,7 @@ def test_progress_logs_where_there_is_no_terminal(n_steps, lines, expected, capl
 
 
 def test_the_last_step_is_always_shown(caplog):
-    with caplog.at_level(logging.INFO, logger="tigar_x.script"):
+    with caplog.at_level(logging.INFO, logger="tigar_x.run.progress"):
         run(23, lines=5)
     steps = [r.getMessage().split()[1] for r in caplog.records]
     assert steps == ["4/23", "8/23", "12/23", "16/23", "20/23", "23/23"]
@@ -162,8 +165,8 @@ def test_the_last_step_is_always_shown(caplog):
 def test_progress_is_a_bar_in_a_terminal(monkeypatch, caplog):
     terminal = io.StringIO()
     terminal.isatty = lambda: True
-    monkeypatch.setattr(script.sys, "stderr", terminal)
-    with caplog.at_level(logging.INFO, logger="tigar_x.script"):
+    monkeypatch.setattr(progress.sys, "stderr", terminal)
+    with caplog.at_level(logging.INFO, logger="tigar_x.run.progress"):
         run(8)
     _, *bars = terminal.getvalue().split("\r")
     assert [bar.count("#") for bar in bars] == [3, 6, 9, 12, 15, 18, 21, 24]
@@ -184,7 +187,7 @@ def handlers():
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_run_is_told_to_end(number, caplog):
     before = handlers()
-    with script.Termination() as asked:
+    with Termination() as asked:
         assert not asked()
         assert not set(before) & set(handlers())
         os.kill(os.getpid(), number)
@@ -192,7 +195,7 @@ def test_a_run_is_told_to_end(number, caplog):
         assert asked()
     assert handlers() == before
     assert f"{number.name}: ending after the step in progress" in caplog.text
-    with script.Termination() as asked:
+    with Termination() as asked:
         assert not asked()
 
 
@@ -209,7 +212,7 @@ def test_the_second_interrupt_is_one():
     before = handlers()
 
     def run():
-        with script.Termination() as asked:
+        with Termination() as asked:
             os.kill(os.getpid(), signal.SIGINT)
             assert asked()
             os.kill(os.getpid(), signal.SIGINT)
@@ -223,7 +226,7 @@ def test_a_thread_gets_no_signals():
     before, found = handlers(), []
 
     def run():
-        with script.Termination() as asked:
+        with Termination() as asked:
             found.append((asked(), handlers()))
 
     thread = threading.Thread(target=run)
@@ -233,11 +236,11 @@ def test_a_thread_gets_no_signals():
 
 
 def test_progress_goes_on_where_another_run_ended(caplog):
-    progress = script.Progress(8, done=5)
-    with caplog.at_level(logging.INFO, logger="tigar_x.script"):
+    progress = Progress(8, done=5)
+    with caplog.at_level(logging.INFO, logger="tigar_x.run.progress"):
         assert [n for n in progress if progress.show(f"at {n}") is None] == [6, 7, 8]
     assert [record.getMessage() for record in caplog.records] == [f"step {n}/8  at {n}" for n in (6, 7, 8)]
-    assert list(script.Progress(8, done=8)) == []
+    assert list(Progress(8, done=8)) == []
 
 
 # -- costs ------------------------------------------------------------------------------------------------------------
@@ -252,11 +255,11 @@ def test_stopwatch_counts_what_is_not_compilation(monkeypatch):
         clock.wall += wall
         clock.cpu += cpu
 
-    monkeypatch.setattr(script, "time", fake)
+    monkeypatch.setattr(progress, "time", fake)
     monkeypatch.setattr(compat.forms, "time", fake)
     monkeypatch.setattr(compat.forms, "_compile", lambda _: spend(6.0, 1.0))
     form = SimpleNamespace(signature=lambda: "a form")
-    watch = script.Stopwatch()
+    watch = Stopwatch()
     for _ in range(2):
         with watch:
             spend(4.0, 3.0)
@@ -267,7 +270,7 @@ def test_stopwatch_counts_what_is_not_compilation(monkeypatch):
 
 
 def test_stopwatch_stops_when_the_block_fails():
-    watch = script.Stopwatch()
+    watch = Stopwatch()
     with pytest.raises(RuntimeError, match="inside"), watch:
         raise RuntimeError("inside")
     assert watch.wall_s > 0.0
@@ -275,7 +278,7 @@ def test_stopwatch_stops_when_the_block_fails():
 
 def test_memory():
     kept = np.ones(2**20)
-    assert 8.0 < script.rss_mib() < script.peak_rss_mib() + 1.0
+    assert 8.0 < rss_mib() < peak_rss_mib() + 1.0
     assert kept.nbytes == 8 * 2**20
 
 
@@ -293,13 +296,13 @@ def test_summary(tmp_path):
     results = {
         "errors": {"L2_u": np.float64(0.1), "H1_u": np.float32(0.5)},
         "qoi": {
-            "tip": script.Quantity(0.58, 0.579, "10.1016/j.cma.2014.10.040"),
-            "leak": script.Quantity(np.float64(1e-3)),
+            "tip": Quantity(0.58, 0.579, "10.1016/j.cma.2014.10.040"),
+            "leak": Quantity(np.float64(1e-3)),
         },
         "monitors": [np.bool_(True), (1, 2.5)],
         "dofs_shell": None,
     }
-    summary = script.write_summary(tmp_path / "new" / "folder", "membrane", inputs, **results)
+    summary = write_summary(tmp_path / "new" / "folder", "membrane", inputs, **results)
     read = json.loads((tmp_path / "new" / "folder" / "summary.json").read_text())
     assert read == summary
     assert set(read) == {"demo", "inputs", "errors", "qoi", "monitors", "compile_s", "peak_rss_mib", "versions"}
@@ -315,24 +318,24 @@ def test_summary(tmp_path):
 
 @pytest.mark.parametrize("bad", [float("nan"), np.float64("inf"), np.float32("nan")])
 def test_summary_refuses_what_is_not_finite(bad, tmp_path):
-    script.write_summary(tmp_path, "membrane", {}, steps=3)
+    write_summary(tmp_path, "membrane", {}, steps=3)
     before = (tmp_path / "summary.json").read_text()
     with pytest.raises(ValueError, match="JSON"):
-        script.write_summary(tmp_path, "membrane", {}, errors={"L2_u": bad})
+        write_summary(tmp_path, "membrane", {}, errors={"L2_u": bad})
     assert (tmp_path / "summary.json").read_text() == before
 
 
 def test_table():
-    text = script.table(["case", "n", "error"], [["plane", 8, 0.0123456], ["one-layer", 128, 1e-9], ["x", 1, np.nan]])
+    text = table(["case", "n", "error"], [["plane", 8, 0.0123456], ["one-layer", 128, 1e-9], ["x", 1, np.nan]])
     assert text.splitlines() == [
         "     case    n    error",
         "    plane    8  0.01235",
         "one-layer  128    1e-09",
         "        x    1      nan",
     ]
-    assert script.table(["a", "bc"], []) == "a  bc"
+    assert table(["a", "bc"], []) == "a  bc"
     with pytest.raises(ValueError, match="argument"):
-        script.table(["a", "b"], [[1, 2, 3]])
+        table(["a", "b"], [[1, 2, 3]])
 
 
 @pytest.mark.parametrize("time", ["first", "second"])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from geometry import grid, measure, tangents
 
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, open_knots, periodic_knots
-from tigar_x.patch import Patch
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots, periodic_knots
+from tigar_x.geometry.patch import Patch
 
 SCENES = {
     shapes.line: {"start": (0, 0), "end": (1, 0), "elements": 2},

@@ -9,14 +9,15 @@ from mpi4py import MPI
 from scenes import sheet_in_flow
 from stability import duct, through_duct
 
-from coudalfish import CouplingOptions, exchange
-from coudalfish.multiplier import SheetMeans, apart, carried_over
+from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState
-from coudalfish.sheets import Sheets
-from tigar_x import shapes
-from tigar_x.multipatch import disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from coudalfish.surface import exchange
+from coudalfish.surface.multiplier import SheetMeans, apart, carried_over
+from coudalfish.surface.sheets import Sheets
+from tigar_x.geometry import shapes
+from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 RNG = np.random.default_rng(5)
 SIGNS = (1.0, -1.0)

@@ -7,12 +7,12 @@ import pytest
 import ufl
 from splines import PATCHES, energy, half_disc, integral, quarter, radial, rectangle, turned
 
-from tigar_x import shapes
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.multipatch import disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 pytestmark = pytest.mark.mpi
 

@@ -10,14 +10,14 @@ from dolfinx import fem
 from flows import assembled
 
 from tigar_x import compat
-from tigar_x.solve import FiniteElementSystem, newton
-from tigar_x.time_integration import backward_euler, generalized_alpha
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem, newton
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowError, FlowOptions
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
+from varmint.forms.solids import NeoHookean, Solid, StVenantKirchhoff, mesh_residual, solid_residual
 from varmint.mesh import box, named
-from varmint.motion import ElasticMotion, PrescribedMotion
 from varmint.quantities import Measured, volume
-from varmint.solids import NeoHookean, Solid, StVenantKirchhoff, mesh_residual, solid_residual
 
 COMM = MPI.COMM_WORLD
 E_MODULUS, NU, RHO = 7.0, 0.3, 2.0

@@ -12,8 +12,8 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 from tigar_x import compat
-from tigar_x.linear import PreparedSolver, SolveError, direct, gmres_ilu, gmres_sor
-from tigar_x.solve import FiniteElementSystem, newton
+from tigar_x.fem.linear import PreparedSolver, SolveError, direct, gmres_ilu, gmres_sor
+from tigar_x.fem.solve import FiniteElementSystem, newton
 
 WORLD = MPI.COMM_WORLD
 

@@ -16,14 +16,15 @@ from splines import (
     turned,
 )
 
-from tigar_x import compat, shapes
-from tigar_x.bspline import BSplineBasis, open_knots
-from tigar_x.constraints import tied
-from tigar_x.multipatch import as_multipatch, disjoint, glued
-from tigar_x.patch import Patch
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem, solve_linear
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, open_knots
+from tigar_x.geometry.multipatch import as_multipatch, disjoint, glued
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.constraints import tied
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 pytestmark = pytest.mark.mpi
 

@@ -7,8 +7,8 @@ from mpi4py import MPI
 from dolfinx import fem
 from splines import PATCHES, RATIONAL, WORLD, coefficients, integral, spline
 
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
 
 pytestmark = pytest.mark.mpi
 

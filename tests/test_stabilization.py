@@ -8,7 +8,7 @@ from dolfinx import fem
 from flows import H, grid
 
 from tigar_x import compat
-from varmint.vms import element_metric, stabilization_parameters
+from varmint.forms.vms import element_metric, stabilization_parameters
 
 
 def _metric(domain):

@@ -15,12 +15,13 @@ from shnapr.loads import edge_traction
 from shnapr.stress import cauchy, resultants, second_piola, von_mises
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import conjugates, internal_tangent, internal_work
-from tigar_x import compat, shapes
-from tigar_x.patch import Patch
-from tigar_x.solve import newton
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper
+from tigar_x import compat
+from tigar_x.fem.solve import newton
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
 
 E, NU, H, MU = 10.0, 0.3, 0.1, 2.0
 SVK, RUBBER = StVenantKirchhoff(E, NU, H), Hyperelastic(neo_hookean(MU), H)

@@ -7,10 +7,10 @@ from geometry import grid, jacobian, measure, normals, tangents
 from scipy.spatial import cKDTree
 from splines import integral
 
-from tigar_x import surfaces
-from tigar_x.patch import Patch
-from tigar_x.shapes import extruded, ruled
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry import surfaces
+from tigar_x.geometry.patch import Patch
+from tigar_x.geometry.shapes import extruded, ruled
+from tigar_x.splines.spline import ExtractedSpline
 
 PI = np.pi
 ROOF = np.deg2rad(80)

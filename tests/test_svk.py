@@ -12,9 +12,10 @@ from ufl.algorithms import expand_derivatives
 from shnapr.loads import dead_load, inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
-from tigar_x import compat, shapes
-from tigar_x.patch import Patch
-from tigar_x.spline import ExtractedSpline
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.spline import ExtractedSpline
 
 COMMON = dict(youngs_modulus=10.0, poisson_ratio=0.3, thickness=0.3)
 VALUES = {

@@ -7,8 +7,8 @@ from dolfinx import fem
 
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy
-from tigar_x import shapes
-from tigar_x.spline import ExtractedSpline
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
 
 
 def flat(dim):

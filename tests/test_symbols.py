@@ -14,11 +14,11 @@ from ufl.core.expr import Expr
 from shnapr.hyperelastic import Hyperelastic
 from shnapr.work import virtual_work
 from tigar_x import compat
-from tigar_x.time_integration import backward_euler
+from tigar_x.fem.schemes import backward_euler
 from varmint.conditions import Traction, Velocity, WeakVelocity
 from varmint.flow import Flow
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.mesh import box
-from varmint.motion import ElasticMotion, PrescribedMotion
 
 MESH = box(MPI.COMM_SELF, (0.0, 0.0), (1.0, 1.0), (1, 1))
 OWN = fem.Constant(MESH.domain, 2.0)

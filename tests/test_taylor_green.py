@@ -10,8 +10,8 @@ import pytest
 from mpi4py import MPI
 from load import load_demo
 
-from tigar_x.linear import direct
-from tigar_x.time_integration import generalized_alpha
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import generalized_alpha
 from varmint.conditions import Slip
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box

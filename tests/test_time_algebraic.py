@@ -7,8 +7,9 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from tigar_x import compat
-from tigar_x.solve import FiniteElementSystem, newton
-from tigar_x.time_integration import TimeIntegrator, backward_euler, generalized_alpha
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem, newton
+from tigar_x.fem.time_integration import TimeIntegrator
 
 CELL = mesh.create_interval(MPI.COMM_SELF, 1, [0.0, 1.0])
 NUMBER, TRIPLE = (compat.lagrange_space(CELL, 0, size) for size in (1, 3))

@@ -7,7 +7,8 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from tigar_x import compat
-from tigar_x.time_integration import LoadStepper, TimeIntegrator, backward_euler, companion, generalized_alpha
+from tigar_x.fem.schemes import backward_euler, companion, generalized_alpha
+from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
 
 CELL = mesh.create_interval(MPI.COMM_SELF, 1, [0.0, 1.0])
 NUMBER, TRIPLE = (compat.lagrange_space(CELL, 0, size) for size in (1, 3))

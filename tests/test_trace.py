@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 from dolfinx import fem, mesh
 
-from coudalfish.trace import PointLocator, trace_matrix
+from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import compat
 
 COMM = MPI.COMM_WORLD

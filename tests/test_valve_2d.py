@@ -12,10 +12,11 @@ from mpi4py import MPI
 from load import load_demo
 
 from coudalfish import CouplingOptions
-from tigar_x import compat, script
-from tigar_x.linear import direct
+from tigar_x import compat
+from tigar_x.fem.linear import direct
+from tigar_x.run.progress import rss_mib
 from varmint.mesh import box
-from varmint.mesh_arrays import mirrored_box
+from varmint.mesh.arrays import mirrored_box
 
 DEMO = load_demo("valve_2d")
 DATA = DEMO.Data()
@@ -166,7 +167,7 @@ def test_memory_is_flat():
     for _ in range(120):
         valve.fsi.takeStep()
         valve.tips()
-        memory.append(script.rss_mib())
+        memory.append(rss_mib())
     assert memory[-1] - memory[9] < 2.0
 
 
@@ -257,7 +258,7 @@ def whole(elements, preset="default", d=2, **options):
     steps, memory = [], []
     for _ in range(32 * elements):
         steps.append(DEMO.in_numbers(valve.fsi.takeStep(), valve.tips()))
-        memory.append(script.rss_mib())
+        memory.append(rss_mib())
     columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
     return SimpleNamespace(columns=columns, growth=memory[-1] - memory[9], errors=DEMO.compare(columns)[0])
 

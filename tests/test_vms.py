@@ -10,10 +10,10 @@ from flows import DT, MU, RHO, Flow, assembled, randomise, slope_error
 from ufl.algorithms import expand_derivatives
 
 from tigar_x import compat
-from tigar_x.solve import FiniteElementSystem
-from varmint.boundary import stable_neumann, weak_dirichlet
-from varmint.space import split
-from varmint.vms import frozen_tangent
+from tigar_x.fem.solve import FiniteElementSystem
+from varmint.forms.boundary import stable_neumann, weak_dirichlet
+from varmint.forms.space import split
+from varmint.forms.vms import frozen_tangent
 
 CASES = [("triangle", 1), ("triangle", 2), ("quadrilateral", 1), ("tetrahedron", 1)]
 

@@ -13,8 +13,9 @@ from dolfinx import fem, mesh
 from mpi_runs import mpirun, outside
 from on_disk import ROOT, read_vtkhdf
 
-from tigar_x import compat, writing
-from tigar_x.vtkhdf import VTKHDFSeries
+from tigar_x import compat
+from tigar_x.run import writing
+from tigar_x.run.vtkhdf import VTKHDFSeries
 
 pytest.importorskip("h5py")
 WORLD = MPI.COMM_WORLD
@@ -232,7 +233,7 @@ def test_vtkhdf_that_cannot_be_written_fails_on_all_ranks_and_stays_as_it_was(pa
         for failing in ("000001.h5", "flow.vtkhdf"):
             with monkeypatch.context() as patch:
                 patch.setattr(
-                    "tigar_x.vtkhdf.replace_bytes",
+                    "tigar_x.run.vtkhdf.replace_bytes",
                     lambda file, content, failing=failing: (full if file.name == failing else writing.replace_bytes)(
                         file, content
                     ),

@@ -23,13 +23,14 @@ from coudalfish import (
     StepError,
     SurfaceBand,
 )
-from coudalfish.exchange import VertexMeans
-from coudalfish.slip import WINDOW, Slip, SlipWindow
+from coudalfish.surface.exchange import VertexMeans
+from coudalfish.surface.slip import WINDOW, Slip, SlipWindow
 from shnapr.loads import inertia
-from tigar_x import shapes
-from tigar_x.linear import direct
-from tigar_x.spline import ExtractedSpline
-from tigar_x.time_integration import TimeIntegrator, generalized_alpha
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
 from varmint import conditions
 from varmint.flow import Flow
 from varmint.mesh import box

@@ -10,9 +10,13 @@ from dolfinx import mesh
 from mpi_runs import MPIRUN, mpirun
 from splines import WORLD, spline
 
-from tigar_x import files, saved, script, shapes
-from tigar_x.output import CSVSeries, VTUSeries, XDMFSeries
-from tigar_x.writing import claim, on_root, replace_text, root_only, together
+from tigar_x.geometry import files, shapes
+from tigar_x.ranks import on_root, root_only, together
+from tigar_x.run.output import CSVSeries, XDMFSeries
+from tigar_x.run.summary import write_summary
+from tigar_x.run.writing import claim, replace_text
+from tigar_x.splines import saved
+from tigar_x.splines.vtu import VTUSeries
 
 
 @pytest.fixture
@@ -108,7 +112,7 @@ def flow(folder):
 
 def summary(folder):
     """A summary of more than a kilobyte."""
-    script.write_summary(folder, "demo", {}, numbers=list(range(1000)))
+    write_summary(folder, "demo", {}, numbers=list(range(1000)))
 
 
 def patch(folder):
@@ -148,8 +152,9 @@ import resource, signal, sys
 from pathlib import Path
 from mpi4py import MPI
 from dolfinx import fem, mesh
-from tigar_x import compat, script
-from tigar_x.output import CSVSeries, XDMFSeries
+from tigar_x import compat
+from tigar_x.run import script
+from tigar_x.run.output import CSVSeries, XDMFSeries
 
 RANK = MPI.COMM_WORLD.rank
 
@@ -186,7 +191,7 @@ def test_a_script_that_fails_on_one_rank_ends_on_all(rank, limit, message, tmp_p
 LEAVING = """
 import sys
 from mpi4py import MPI
-from tigar_x import script
+from tigar_x.run import script
 
 def main(rank: int = 0, code: str = ""):
     if rank in (MPI.COMM_WORLD.rank, -1):

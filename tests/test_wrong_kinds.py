@@ -10,22 +10,27 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from coudalfish import CouplingOptions
-from coudalfish.options import PenaltyRule
+from coudalfish.step.options import PenaltyRule
 from shnapr import contact, hyperelastic, loads, planes, stress, svk
-from tigar_x import bspline, compat, constraints, line_search, linear, load_stepping, multipatch, shapes, surfaces
-from tigar_x.eigen import eigenmodes
-from tigar_x.patch import Patch
-from tigar_x.projection import fit
-from tigar_x.quadrature import NodalQuadrature
-from tigar_x.refinement import doubled
-from tigar_x.solve import FiniteElementSystem
-from tigar_x.spline import ExtractedSpline
-from tigar_x.spline_system import SplineSystem
-from tigar_x.time_integration import LoadStepper, TimeIntegrator, backward_euler, generalized_alpha
-from varmint import ale, boundary, conditions, motion, solids
+from tigar_x import compat
+from tigar_x.fem import line_search, linear, load_stepping
+from tigar_x.fem.eigen import eigenmodes
+from tigar_x.fem.schemes import backward_euler, generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem
+from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
+from tigar_x.geometry import bspline, multipatch, shapes, surfaces
+from tigar_x.geometry.patch import Patch
+from tigar_x.run.convergence import doubled
+from tigar_x.splines import constraints
+from tigar_x.splines.projection import fit
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+from varmint import conditions
 from varmint.flow import Flow, FlowOptions
+from varmint.forms import ale, boundary, motion, solids
+from varmint.forms.vms import interior_residual
 from varmint.mesh import box
-from varmint.vms import interior_residual
 
 WRONG = {
     "number": ("0.1", "many", None, (0.1, 0.2), np.array([0.1]), {}, True, 1j, float("nan")),

@@ -4,14 +4,11 @@ A sparse matrix M writes B-spline or NURBS functions in a Lagrange finite elemen
 assembles becomes isogeometric: ``A = M^T A_FE M``, ``b = M^T b_FE``. Source: Kamensky and
 Bazilevs, doi:10.1016/j.cma.2018.10.002.
 
-Geometry comes from :mod:`~tigar_x.shapes`, :mod:`~tigar_x.surfaces`, :mod:`~tigar_x.ribbon` or
-:mod:`~tigar_x.files` as a :mod:`~tigar_x.patch`, or as several of them (:mod:`~tigar_x.multipatch`).
-:mod:`~tigar_x.spline` makes spaces, forms and fields of it, under :mod:`~tigar_x.constraints`, and
-:mod:`~tigar_x.spline_system` the reduced equations. :mod:`~tigar_x.solve`, :mod:`~tigar_x.load_stepping` and
-:mod:`~tigar_x.eigen` solve them.
+:mod:`~tigar_x.geometry` has spline geometry: shapes, files, and patches alone or joined. :mod:`~tigar_x.splines` makes
+spaces, fields, forms and systems of it, under constraints.
 
-The package also holds the ground that shells, flow and coupling stand on: linear solvers, one Newton loop, time
-integrators, output, and what a script needs around a run.
+Shells, flow and coupling stand on two more: :mod:`~tigar_x.fem` has linear solvers, Newton's method, load steps, modes
+and integration in time; :mod:`~tigar_x.run` what a script needs around a run, from its command line to its output.
 
 Importing any of its modules changes one thing in UFL, for all forms of the process: sums and products sort Constants by
 their number, not by its digits (99 comes before 100). Otherwise the name of a compiled form would depend on how many

@@ -15,9 +15,9 @@ from mpi4py import MPI
 
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
-from varmint import ale, boundary
-from varmint.ale import Motion
-from varmint.mesh import NamedMesh
+from varmint.forms import ale, boundary
+from varmint.forms.ale import Motion
+from varmint.mesh.named import NamedMesh
 
 Data = Callable[[Any, Any], Any] | Sequence[Any] | Any
 """Vector of shape (d,), see the module."""
@@ -187,7 +187,7 @@ class Velocity(Condition):
 
 @dataclass(frozen=True)
 class WeakVelocity(Condition):
-    """Velocity imposed weakly, see :func:`varmint.boundary.weak_dirichlet`.
+    """Velocity imposed weakly, see :func:`varmint.forms.boundary.weak_dirichlet`.
 
     Attributes:
         on: facet groups.

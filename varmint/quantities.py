@@ -17,10 +17,10 @@ from petsc4py import PETSc
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from varmint import ale
-from varmint.attachments import OutletPressure
-from varmint.flow import Flow
-from varmint.space import split
+from varmint.flow.attachments import OutletPressure
+from varmint.flow.flow import Flow
+from varmint.forms import ale
+from varmint.forms.space import split
 
 
 def _velocity(flow: Flow) -> Any:

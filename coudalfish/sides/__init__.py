@@ -1,0 +1,1 @@
+"""The two sides of the coupling, fluid and shell, and what belongs to them."""

@@ -1,0 +1,259 @@
+"""One attempt at a time step: explicit geometry, block iteration, multiplier.
+
+The steps of Kamensky, doi:10.1016/j.camwa.2020.01.023, with convergence tested before a pass solves.
+"""
+
+import math
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+
+from coudalfish.sides.mesh_motion import MeshMotion, displacement_of_cells
+from coudalfish.step.acceleration import Anderson
+from coudalfish.step.acceptance import Acceptance
+from coudalfish.step.floors import residual_floors
+from coudalfish.step.report import ContactReport, RejectedStepError, StepError, StepReport
+from coudalfish.surface import exchange
+from coudalfish.surface.monitors import Monitors, measure
+from coudalfish.surface.multiplier import Multiplier
+from coudalfish.surface.trace import trace_matrix
+from tigar_x import ranks
+from tigar_x.compat import FloatArray
+
+if TYPE_CHECKING:
+    from coudalfish.coupler import CouDALFISh
+
+UNDER_RELAXATION = 0.5
+"""Share of the shell's increments that a cautious attempt takes."""
+
+
+class Step:
+    """The data that stay fixed during a step, and the iteration.
+
+    Args:
+        coupler: what is coupled; its multiplier changes only when the attempt succeeds.
+        cautious: under-relax the shell, accelerate from the start and assemble tangents in every pass.
+
+    Attributes:
+        block: where the attempt is, "mesh", "fluid", "shell" or "coupling".
+    """
+
+    def __init__(self, coupler: "CouDALFISh", *, cautious: bool = False) -> None:
+        self.c = coupler
+        self.comm = coupler.fluid.comm
+        self.fluid, self.shell, self.options = coupler.fluid, coupler.shell, coupler.options
+        self.cautious = cautious
+        if cautious:
+            self.options = replace(self.options, tangent_update="pass", accelerate_after=0)
+        self.anderson = Anderson(max(self.options.acceleration, 1))
+        self.beta = coupler.penalty
+        self.dt = coupler.timeInt_f.step_size
+        self.block = "coupling"
+        self.acceptance = Acceptance(self.options)
+        self.passes = 0
+        self.linear_iterations = 0
+        self.spacing = 0.0
+        self.inactive = 0
+
+    # -- set-up -------------------------------------------------------------------------------------------------------
+
+    def run(self) -> StepReport:
+        """Predict, iterate, update the multiplier."""
+        self._predict()
+        self._place()
+        self._iterate()
+        if self.fluid.moving is not None:
+            self.block = "mesh"
+            self.fluid.moving.check()  # a solid in the flow has moved it in every pass
+        return self._finish()
+
+    def _predict(self) -> None:
+        if self.fluid.moving is not None:
+            self._move(self.fluid.moving)
+        for side in (self.fluid, self.shell):
+            side.timeInt.predict()
+            for update in side.updates:
+                update(float(side.timeInt.t_alpha.value))
+        ranks.share(self.comm, self.shell.timeInt.x.x.array)
+        self.fluid.system.apply_boundary_values()
+
+    def _move(self, moving: MeshMotion) -> None:
+        """The mesh at the end of the step, and its cells at the intermediate level."""
+        self.block = "mesh"
+        moving.time.predict()
+        moving.move()
+        moving.check()
+        self.c.locator.displace(displacement_of_cells(moving))
+        self.block = "coupling"
+
+    def _place(self) -> None:
+        """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
+        x = ranks.first(self.comm, self.shell.positions())
+        if not np.isfinite(x).all():
+            raise RejectedStepError("shell", "the predicted positions are not finite")
+        location = self.location = self.c.locator.locate(x)
+        self.inactive = int((~location.active).sum())
+        self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
+        self.trace = trace_matrix(self.fluid.velocity_space, location)
+        if self.fluid.band is not None:
+            self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
+        self.n = self.shell.normals()
+        means = self.vertex_functions if self.options.relaxation_mode == "smoothed" else None
+        self.multiplier = Multiplier(self.c.lam, self.fluid, self.shell, self.trace, location.active, self.n, means)
+        self.c.watch.placed(self, x)
+
+    @cached_property
+    def vertex_functions(self) -> sp.csr_matrix:
+        """Linear functions of the fluid mesh's vertices at the points, made where something asks (collective)."""
+        return self.c.locator.vertex_functions(self.location)
+
+    # -- block iteration ----------------------------------------------------------------------------------------------
+
+    def _iterate(self) -> None:
+        before = self.options.stopping == "before_solve"
+        for _ in range(self.options.max_passes):
+            self._evaluate()
+            norm_f = self._fluid_residual()
+            if before and self._accepted(norm_f, self._shell_residual()):
+                return
+            begins = self.accelerated and self.passes == self.options.accelerate_after
+            fresh = self.passes == 0 or begins or self.acceptance.stalled or self.options.tangent_update == "pass"
+            self._solve_fluid(fresh)
+            self.u = self.fluid.velocity_at(self.trace)
+            norm_s = self._shell_residual()
+            self.acceptance.note(0.0, norm_s)
+            self._solve_shell(fresh)
+            self.passes += 1
+            if not before and self._accepted(norm_f, norm_s):
+                self._evaluate()
+                return
+        self._evaluate()
+        if before and self._accepted(self._fluid_residual(), self._shell_residual()):
+            return
+        raise self.acceptance.failure()
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether the iteration has been so slow that it gets Anderson acceleration and the consistent tangent."""
+        return self.options.acceleration > 0 and self.passes >= self.options.accelerate_after
+
+    def _evaluate(self) -> None:
+        """Velocities, and normals if they follow the iterate, at the points."""
+        self.u, self.y_dot = self.fluid.velocity_at(self.trace), self.shell.velocity()
+        if self.options.normal == "iterate":
+            self.n = self.shell.normals()
+
+    @property
+    def forces(self) -> FloatArray:
+        """Fluid on shell at the points."""
+        return exchange.point_forces(self.u, self.y_dot, self.multiplier.acting, self.n, self.W, penalty=self.beta)
+
+    def _fluid_residual(self) -> float:
+        self.block = "fluid"
+        return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta))
+
+    def _shell_residual(self) -> float:
+        self.block = "shell"
+        return self._finite(ranks.agreed(self.comm, lambda: self.shell.assemble_residual(self.forces)))
+
+    def _finite(self, norm: float) -> float:
+        if not math.isfinite(norm):
+            raise RejectedStepError(self.block, f"the residual of pass {self.passes} is not finite")
+        return norm
+
+    def _solve_fluid(self, fresh: bool) -> None:
+        self.block = "fluid"
+        if fresh:
+            consistent = self.options.fluid_tangent == "consistent" or self.accelerated
+            tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
+            part = tangent(self.trace.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
+            self.fluid.assemble_tangent(self.trace, part)
+        self.linear_iterations += self.fluid.solve(first=self.passes == 0)
+
+    def _solve_shell(self, fresh: bool) -> None:
+        self.block = "shell"
+        y = self.shell.timeInt.x.x.array
+        ranks.agreed(self.comm, lambda: self._move_shell(y, fresh))
+        ranks.share(self.comm, y)
+
+    def _move_shell(self, y: FloatArray, fresh: bool) -> None:
+        if fresh:
+            self.shell.assemble_tangent(self.W, self.beta, positive=self.cautious)
+        elif self.shell.touching is not None:
+            self.shell.renew_contact()
+        before = y.copy()
+        self.shell.solve()
+        if self.cautious:
+            y[:] = before + UNDER_RELAXATION * (y - before)
+        if self.accelerated:
+            y[:] = self.anderson.next(before, y)
+
+    def _accepted(self, norm_f: float, norm_s: float) -> bool:
+        self.block = "coupling"
+        forces = self.forces
+        coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
+        return self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
+
+    def _floors(self) -> tuple[float, float]:
+        """See :func:`residual_floors`; before the first solve those of the step before are good enough."""
+        if self.passes == 0 and self.c.floors is not None:
+            return self.c.floors
+        pushed = np.abs(self.multiplier.acting)[:, None] * np.abs(self.n)
+        part = pushed + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
+        terms, stiffness = self.W[:, None] * part, self.W * self.beta * self.shell.timeInt.xdot_factor
+        state, atol = (self.fluid, self.shell, self.trace, terms, stiffness), self.options.block_atol
+        self.c.floors = residual_floors(*state, atol=atol, solved=self.passes > 0)
+        return self.c.floors
+
+    # -- end ----------------------------------------------------------------------------------------------------------
+
+    def _finish(self) -> StepReport:
+        u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
+        forces = exchange.point_forces(u, y_dot, self.c.lam, n, W, penalty=self.beta)
+        lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
+        ranks.share(self.comm, lam)
+        if not np.isfinite(lam).all():
+            raise RejectedStepError("coupling", "the new multiplier is not finite")
+        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
+        areas, self.c.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
+        monitors = measure(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
+        report = ranks.first(self.comm, self.report(monitors, self._contact()))
+        self.c.watch.finished(self, report)
+        return report
+
+    def _contact(self) -> ContactReport | None:
+        if self.shell.contact is None:
+            return None
+        closing = self.shell.closing_ratio()
+        found = self.shell.touching
+        if found is None:
+            return ContactReport(0, 0.0, 0.0, math.inf, closing)
+        return ContactReport(found.pairs, found.load, found.energy, found.distance, closing)
+
+    def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
+        """What has been done so far."""
+        return StepReport(
+            t=self.c.timeInt_f.time + self.dt,
+            t_alpha=float(self.c.timeInt_f.t_alpha.value),
+            attempts=2 if self.cautious else 1,
+            passes=self.passes,
+            residuals=tuple(self.acceptance.history),
+            linear_iterations=self.linear_iterations,
+            penalty=self.beta,
+            inactive_points=self.inactive,
+            slip_ratio=float(np.abs(self.c.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
+            monitors=monitors,
+            contact=contact,
+        )
+
+    def failure(self, error: Exception) -> StepError:
+        """The error that tells the user which block failed, why, and which number is suspect."""
+        block = error.block if isinstance(error, RejectedStepError) else self.block
+        suspect, touching = self.c.watch.suspect(self), self.shell.touching
+        if block == "shell" and touching is not None:
+            suspect += f"; {touching.pairs} pairs touch: reduce dt or smooth the kernel of contact"
+        return StepError(block, str(error), suspect, self.report(None))

@@ -1,0 +1,68 @@
+"""The band of fluid cells around an immersed surface, where stabilisation parameters are scaled."""
+
+import numpy as np
+from dolfinx import fem, mesh
+
+from coudalfish.surface.trace import Location
+from tigar_x import checks, compat
+
+MARKED = 1e-8
+"""A vertex is marked when its basis function exceeds this at an immersed point."""
+
+
+class BandScale(fem.Function):
+    """A field that a band keeps up to date; a residual that has one needs its band."""
+
+
+class SurfaceBand:
+    """Two cell-wise fields that the fluid's form may use; the coupler rebuilds them every step.
+
+    The band is all cells that touch a vertex of a cut cell (Kamensky, doi:10.1016/j.camwa.2020.01.023).
+
+    Args:
+        mesh_f: fluid mesh.
+
+    Attributes:
+        scale_m: factor of tau_M, one outside the band.
+        scale_c: divisor of tau_C, one outside the band.
+    """
+
+    def __init__(self, mesh_f: mesh.Mesh) -> None:
+        cells = compat.lagrange_space(mesh_f, 0)
+        self.scale_m = BandScale(cells, name="scale_m")
+        self.scale_c = BandScale(cells, name="scale_c")
+        self._cell_dof = compat.cell_dofs(cells)[:, 0]
+        vertices = compat.lagrange_space(mesh_f, 1)
+        self._vertex_dofs = compat.cell_dofs(vertices)
+        self._vertices_by_corner = np.ascontiguousarray(self._vertex_dofs.T)
+        self._mark = fem.Function(vertices, name="mark")
+        self.clear()
+
+    def clear(self) -> None:
+        """No surface: all scales are one."""
+        self.scale_m.x.array[:] = 1.0
+        self.scale_c.x.array[:] = 1.0
+
+    def update(self, location: Location, *, scale_m: float, scale_c: float) -> None:
+        """Rebuild the band (collective).
+
+        Args:
+            location: where the immersed points lie.
+            scale_m: factor of tau_M in the band, in (0, 1].
+            scale_c: divisor of tau_C in the band, in (0, 1].
+
+        Raises:
+            ValueError: a scale is out of range.
+        """
+        for name, value in (("scale_m", scale_m), ("scale_c", scale_c)):
+            checks.within(name, checks.positive(name, value), 0.0, 1.0)
+        mark = self._mark.x.array
+        mark[:] = 0.0
+        mine = location.owned
+        touched = location.barycentric[mine] > MARKED
+        mark[self._vertex_dofs[location.cells[mine]][touched]] = 1.0
+        compat.accumulate(self._mark)
+        inside = self._cell_dof[np.logical_or.reduce((mark > 0.0)[self._vertices_by_corner])]
+        self.clear()
+        self.scale_m.x.array[inside] = scale_m
+        self.scale_c.x.array[inside] = scale_c

@@ -1,0 +1,136 @@
+"""Forces, tangents and multiplier update of the dynamic augmented Lagrangian method, on arrays and matrices.
+
+Source: Kamensky et al., doi:10.1016/j.cma.2014.10.040; Kamensky, doi:10.1016/j.camwa.2020.01.023. The multiplier acts
+along the shell's normal and is a force per reference area: +lam n is what the fluid does to the shell.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from tigar_x.compat import FloatArray
+
+
+def point_forces(
+    u: FloatArray, y_dot: FloatArray, lam: FloatArray, n: FloatArray, W: FloatArray, *, penalty: float
+) -> FloatArray:
+    """Force that the fluid exerts on the shell at every point, ``W [beta (u - y') + lam n]``.
+
+    Args:
+        u: fluid velocity, shape (points, d).
+        y_dot: shell velocity, shape (points, d).
+        lam: multiplier, shape (points,); unit: force/area.
+        n: shell normals, shape (points, d).
+        W: reference areas, zero at inactive points, shape (points,).
+        penalty: beta; unit: force time/length^3.
+
+    Returns:
+        Forces, shape (points, d).
+    """
+    return W[:, None] * (penalty * (u - y_dot) + lam[:, None] * n)
+
+
+def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:
+    """Row sums of the penalty tangent of the fluid as a diagonal matrix, ``factor diag(B^T beta W)``.
+
+    Since ``diag(B^T beta W) - B^T diag(beta W) B`` is positive semidefinite, this is a safe, over-damped replacement.
+
+    Args:
+        B: trace matrix, shape (points, nodes).
+        W: reference areas, zero at inactive points, shape (points,).
+        penalty: beta.
+        factor: derivative of u_alpha with respect to the unknown.
+
+    Returns:
+        Matrix for one velocity component, shape (nodes, nodes).
+    """
+    diagonal, n = factor * penalty * (B.T @ W), B.shape[1]
+    return sp.csr_matrix((diagonal, np.arange(n), np.arange(n + 1)), shape=(n, n))
+
+
+def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:
+    """Penalty tangent of the fluid, ``factor B^T diag(beta W) B``.
+
+    It couples only nodes of one cell, so a fluid matrix already has its non-zeros.
+
+    Args:
+        B: trace matrix, shape (points, nodes).
+        W: reference areas, zero at inactive points, shape (points,).
+        penalty: beta.
+        factor: derivative of u_alpha with respect to the unknown.
+
+    Returns:
+        Matrix for one velocity component, shape (nodes, nodes).
+    """
+    return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
+
+
+class Means(Protocol):
+    """A smoothing of values at points."""
+
+    def __matmul__(self, x: FloatArray) -> FloatArray:
+        """Smoothed values, shape (points,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class VertexMeans:
+    """Smoothing of values at points over the vertices of the fluid's mesh, ``N (N^T W x / N^T W)``.
+
+    It leaves constants as they are, keeps the integral of every x, and is symmetric in the area W. What varies within
+    cells, as patterns of the multiplier do, is not in it.
+
+    Attributes:
+        N: linear functions of vertices at the points, from
+            :meth:`coudalfish.surface.trace.PointLocator.vertex_functions`.
+        W: reference areas, zero at inactive points, shape (points,).
+    """
+
+    N: sp.csr_matrix
+    W: FloatArray
+
+    def __matmul__(self, x: FloatArray) -> FloatArray:
+        """Smoothed values of shape (points,) or (points, components), zero at points outside the mesh."""
+        area = self.N.T @ self.W
+        sums = self.N.T @ (self.W * x.T).T
+        means = np.divide(sums.T, area, out=np.zeros_like(sums.T), where=area > 0.0)
+        return np.asarray(self.N @ means.T)
+
+
+def updated_multiplier(
+    lam: FloatArray,
+    u: FloatArray,
+    y_dot: FloatArray,
+    n: FloatArray,
+    active: Any,
+    *,
+    penalty: float,
+    relaxation: float,
+    means: Means | None = None,
+) -> FloatArray:
+    """Multiplier of the next step; inactive points keep theirs.
+
+    It follows from ``lam* = lam + beta (u - y') . n`` as ``lam*/(1 + r)`` or, with means P, as
+    ``P lam* + (lam* - P lam*)/(1 + r)``. The latter damps what the fluid's mesh cannot resolve and keeps what P keeps,
+    see :class:`coudalfish.surface.multiplier.SheetMeans`, so that there is no net leak (compare the projection of
+    Kamensky et
+    al., doi:10.1016/j.camwa.2017.07.006).
+
+    Args:
+        lam: multiplier of this step, shape (points,).
+        u: fluid velocity, shape (points, d).
+        y_dot: shell velocity, shape (points, d).
+        n: shell normals, shape (points, d).
+        active: mask of the points in the fluid, shape (points,).
+        penalty: beta.
+        relaxation: r >= 0; without means a steady sheet leaks at the speed r lam/beta.
+        means: see the text; None: all of the multiplier is damped.
+
+    Returns:
+        New multiplier, shape (points,).
+    """
+    slip = np.einsum("qi,qi->q", u - y_dot, n)
+    new = lam + penalty * slip
+    kept = 0.0 if means is None else means @ new
+    return np.where(active, kept + (new - kept) / (1.0 + relaxation), lam)

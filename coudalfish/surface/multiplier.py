@@ -1,0 +1,179 @@
+"""The multiplier in a step, and what becomes of it: means over the fluid's vertices, and points that are held."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+from scipy.sparse.csgraph import connected_components
+
+from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.surface.exchange import VertexMeans, updated_multiplier
+from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.trace import TraceMatrix
+from tigar_x import ranks
+from tigar_x.compat import FloatArray
+
+DEPENDENT = 1e-8
+"""Normals of a sheet that vary by less, relative to its mean, are those of a plane."""
+HELD = 1e-2
+"""A point is held when what moves at its nodes has less than this weight there."""
+
+
+class Multiplier:
+    """The multiplier of a step.
+
+    At points that neither side can move it acts on nothing and has no equation: it is carried over from the nearest
+    other points, so that forces and largest values are those of the whole surface.
+
+    Args:
+        lam: multiplier, shape (points,).
+        fluid: the flow.
+        shell: the shell.
+        trace: where the points are.
+        active: mask of the points in the fluid, shape (points,).
+        n: normals at the start of the step, shape (points, d).
+        vertex_functions: of the fluid's mesh at the points; None: relaxation is uniform.
+
+    Attributes:
+        acting: multiplier without that of points that are held, shape (points,).
+    """
+
+    def __init__(
+        self,
+        lam: FloatArray,
+        fluid: FluidSubproblem,
+        shell: ShellSubproblem,
+        trace: TraceMatrix,
+        active: Any,
+        n: FloatArray,
+        vertex_functions: sp.csr_matrix | None,
+    ) -> None:
+        self._held = held_points(fluid, shell, trace, n)
+        self._lam, self._active, self._sheets = lam, active, shell.sheets
+        self.acting = np.where(self._held, 0.0, lam)
+        W = np.where(active & ~self._held, shell.quadrature.weights, 0.0)
+        self._means = None if vertex_functions is None else SheetMeans(vertex_functions, W, n, shell.sheets)
+
+    def updated(
+        self, u: FloatArray, y_dot: FloatArray, n: FloatArray, *, penalty: float, relaxation: float
+    ) -> FloatArray:
+        """Multiplier of the next step, see :func:`coudalfish.surface.exchange.updated_multiplier`."""
+        state, r = (self.acting, u, y_dot, n, self._active), relaxation
+        lam = updated_multiplier(*state, penalty=penalty, relaxation=r, means=self._means)
+        return carried_over(np.where(self._held, self._lam, lam), self._active, self._held, self._sheets)
+
+
+@dataclass(frozen=True, eq=False)
+class SheetMeans:
+    """Smoothing of the multiplier within sheets, ``S = K + (1 - K) P (1 - K)``.
+
+    P are means over the fluid's vertices, in which points of different sheets, or of two layers of a folded one, do not
+    meet, and which count the multiplier along normals that agree across joints. K is the projection, orthogonal in the
+    area W, on the multipliers that are constant on a sheet or a component of its normals. So S keeps for every sheet
+    the flow's measure ``int lam`` and the force ``int lam n``; it is symmetric in W with eigenvalues from 0 to 1, and
+    does not depend on the directions in which patches are parametrised. On plane sheets it is P.
+
+    Attributes:
+        N: linear functions of vertices at the points, from
+            :meth:`coudalfish.surface.trace.PointLocator.vertex_functions`.
+        W: reference areas, zero at points that take no part, shape (points,).
+        n: normals, shape (points, d).
+        sheets: how the points hang together.
+    """
+
+    N: sp.csr_matrix
+    W: FloatArray
+    n: FloatArray
+    sheets: Sheets
+
+    @cached_property
+    def _means(self) -> VertexMeans:
+        return VertexMeans(apart(self.N, self.sheets), self.W)
+
+    @cached_property
+    def _kept(self) -> sp.csc_matrix:
+        """Orthonormal multipliers that are kept, as columns."""
+        blocks, root = [], np.sqrt(self.W)
+        all_parts = np.column_stack([self.sheets.sign, self.n])
+        for k in range(self.sheets.sheet.max(initial=-1) + 1):
+            mine = np.flatnonzero(self.sheets.sheet == k)
+            parts = all_parts[mine]
+            _, size, V = np.linalg.svd(root[mine, None] * parts, full_matrices=False)
+            rank = int((size > DEPENDENT * size.max(initial=0.0)).sum())
+            columns = parts @ (V[:rank].T / size[:rank])
+            rows = np.repeat(mine[:, None], rank, axis=1)
+            place = (rows.ravel(), np.tile(np.arange(rank), len(mine)))
+            blocks.append(sp.csc_matrix((columns.ravel(), place), shape=(len(self.W), rank)))
+        return sp.hstack(blocks, format="csc")
+
+    def _keep(self, x: FloatArray) -> FloatArray:
+        return np.asarray(self._kept @ (self._kept.T @ (self.W * x)))
+
+    def __matmul__(self, x: FloatArray) -> FloatArray:
+        """Smoothed multiplier, shape (points,)."""
+        kept, sign = self._keep(x), self.sheets.sign
+        smooth = sign * (self._means @ (sign * (x - kept)))
+        return kept + smooth - self._keep(smooth)
+
+
+def apart(N: sp.csr_matrix, sheets: Sheets) -> sp.csr_matrix:
+    """The same functions with a column of its own for every part of a vertex's points that hangs together."""
+    N = N.copy()
+    N.sum_duplicates()
+    count = np.diff(N.indptr)
+    point = np.repeat(np.arange(len(count)), count)
+    keys = point * np.int64(N.shape[1]) + N.indices  # ascending
+    a, b = sheets.links.T
+    entry = np.repeat(N.indptr[a] - np.cumsum(count[a]) + count[a], count[a]) + np.arange(count[a].sum())
+    wanted = np.repeat(b, count[a]) * np.int64(N.shape[1]) + N.indices[entry]
+    other = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
+    same = keys[other] == wanted
+    pairs = (np.ones(int(same.sum())), (entry[same], other[same]))
+    parts, column = connected_components(sp.coo_matrix(pairs, shape=(len(keys),) * 2), directed=False)
+    return sp.csr_matrix((N.data, column, N.indptr), shape=(N.shape[0], parts))
+
+
+def held_points(fluid: FluidSubproblem, shell: ShellSubproblem, trace: TraceMatrix, n: FloatArray) -> Any:
+    """Points at which neither side can move along the normal, so that no slip drives the multiplier (collective).
+
+    Args:
+        fluid: the flow.
+        shell: the shell.
+        trace: where the points are.
+        n: normals, shape (points, d).
+
+    Returns:
+        Mask, shape (points,).
+    """
+    if ranks.first(fluid.comm, bool((shell.sheets.mobility > HELD).all())):
+        return np.zeros(len(n), dtype=bool)
+    mobility = np.asarray(trace.B @ fluid.free[trace.nodes].astype(float))
+    total = np.empty_like(mobility)
+    fluid.comm.Allreduce(mobility, total, op=MPI.SUM)
+    return (np.abs(n) * np.maximum(total, shell.sheets.mobility)).sum(axis=1) <= HELD * np.abs(n).sum(axis=1)
+
+
+def carried_over(lam: FloatArray, known: Any, wanted: Any, sheets: Sheets) -> FloatArray:
+    """Multiplier with that of the nearest known points along the sheet where it is not determined.
+
+    Args:
+        lam: multiplier, shape (points,).
+        known: mask of the points whose multiplier is taken over.
+        wanted: mask of the points that take it; without a known neighbour they keep theirs.
+        sheets: how the points hang together.
+
+    Returns:
+        Shape (points,).
+    """
+    result, known = sheets.sign * lam, known & ~wanted
+    a, b = np.concatenate([sheets.links, sheets.links[:, ::-1]]).T
+    while True:
+        use = known[b] & ~known[a] & wanted[a]
+        if not use.any():
+            return sheets.sign * result
+        total, number = np.bincount(a[use], result[b[use]], len(lam)), np.bincount(a[use], minlength=len(lam))
+        result = np.where(number > 0, total / np.maximum(number, 1), result)
+        known = known | (number > 0)

@@ -1,0 +1,6 @@
+"""Nonlocal contact of shells with themselves and each other: arrays in, arrays out, and systems with it."""
+
+from shnapr.contact.kernels import Kernel, LinearKernel, SmoothedKernel
+from shnapr.contact.self_contact import ContactForces, Neighbours, SelfContact
+
+__all__ = ["ContactForces", "Kernel", "LinearKernel", "Neighbours", "SelfContact", "SmoothedKernel"]

@@ -1,0 +1,310 @@
+"""Contact of thin shells with themselves and each other by a potential between their points.
+
+Source: Kamensky et al., "A contact formulation based on a volumetric potential", doi:10.1016/j.cma.2017.11.007. All
+pairs of nodes whose reference distance exceeds r_self interact through ``E_c = sum_pairs W_A W_B phi(r_AB)``, with the
+nodal quadrature weights W and a potential phi that vanishes from r_max on. Surfaces cannot pass between their points
+as long as the spacing of the nodes is well below r_max.
+
+The published rule exempts neighbours by their distance in space, and with them whatever starts close together: a valve
+that is drawn closed, or stacked sheets. Here a pair is exempt when there is a short way along the surface besides.
+"""
+
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from shnapr.contact.kernels import Kernel, LinearKernel, SmoothedKernel
+from shnapr.contact.neighbours import WAY, IndexArray, way_apart
+from tigar_x import checks
+from tigar_x.compat import FloatArray
+from tigar_x.fem.linear import SolveError
+from tigar_x.splines.quadrature import NodalQuadrature
+
+__all__ = ["ContactForces", "Kernel", "LinearKernel", "Neighbours", "SelfContact", "SmoothedKernel"]
+
+log = logging.getLogger(__name__)
+
+Neighbours = Literal["surface", "space"]
+"""What exempts points within r_self: a short way along the surface, or their distance in space alone."""
+
+SKIN = 0.2
+"""How much further than r_max pairs are searched, relative to it: they serve until a node has moved by half of that."""
+MOST_APPROACH = 3.0
+"""Largest way in a step, relative to r_max, within which approaching points are looked for."""
+COINCIDENT = 1e-12
+"""Distance relative to r_max below which two points have no direction of their own."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForces:
+    """Contact in one configuration.
+
+    Attributes:
+        energy: E_c; unit: energy (per depth in the plane).
+        forces: contribution to the finite element residual, the derivative of E_c by the homogeneous nodal values,
+            shape (nodes, d).
+        tangent: derivative of ``forces`` by the homogeneous nodal values, with blocks for touching nodes only, shape
+            (nodes d, nodes d), symmetric; None: not asked for.
+        pairs: number of interacting pairs.
+        load: sum of the forces between them without regard to direction; unit: force.
+        distance: smallest distance of an interacting pair; inf without any.
+        coincident: number of pairs in the same place.
+    """
+
+    energy: float
+    forces: FloatArray
+    tangent: sp.bsr_matrix | None
+    pairs: int
+    load: float
+    distance: float
+    coincident: int
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+
+class SelfContact:
+    """Contact of a shell, or of several in one spline, with itself.
+
+    Pairs are searched with a k-d tree, somewhat beyond r_max, and only again once a node has moved so far that another
+    pair might interact. What comes out depends on the given positions alone.
+
+    Points in the same place (closer than 1e-12 r_max) repel each other along the line between their reference
+    positions, which r_self keeps apart; their tangent has no part across that line.
+
+    Args:
+        quadrature: reference positions (in d = 2 or 3 dimensions) and weights of the points; those of weight zero take
+            no part.
+        kernel: the potential; its r_max is below r_self.
+        r_self: neighbours with at most this distance in the reference configuration never interact; unit: length.
+        neighbours: "surface": those with a way of at most 2 r_self from one to the other along the surface, over
+            patches that are glued or touch. Surfaces that start nearer than r_max then push each other from the start.
+            "space": all pairs, as published. A quadrature without cells knows of no surface and takes "space".
+
+    Attributes:
+        quadrature: as given.
+        kernel: as given.
+        r_self: as given.
+        apart: pairs within r_self in the reference configuration without such a way, ascending, shape (pairs, 2).
+
+    Raises:
+        ValueError: an argument is out of range or has a wrong shape.
+    """
+
+    def __init__(
+        self, quadrature: NodalQuadrature, kernel: Kernel, r_self: float, *, neighbours: Neighbours = "surface"
+    ) -> None:
+        points = checks.array("quadrature.points", quadrature.points, (None, None))
+        n, d = points.shape
+        if d not in (2, 3):
+            raise ValueError(f"quadrature.points has shape {points.shape}: shape (any, 2) or (any, 3) is required")
+        for name in ("weights", "rational"):
+            values = checks.array(f"quadrature.{name}", getattr(quadrature, name), (n,))
+            lowest = values.min(initial=np.inf)
+            if lowest < 0.0 or (name == "rational" and lowest == 0.0):
+                allowed = ">= 0" if name == "weights" else "> 0"
+                raise ValueError(f"quadrature.{name}[{values.argmin()}] = {lowest}: numbers {allowed} are required")
+        r_max = checks.positive("kernel.r_max", kernel.r_max)
+        if not r_max < checks.positive("r_self", r_self):
+            raise ValueError(f"kernel.r_max = {r_max} with r_self = {r_self}: kernel.r_max < r_self is required")
+        self.quadrature = quadrature
+        self.kernel = kernel
+        self.r_self = float(r_self)
+        checks.choice("neighbours", neighbours, get_args(Neighbours))
+        self.apart = way_apart(quadrature, self.r_self)
+        self._used = np.flatnonzero(quadrature.weights)
+        self._searched_at: FloatArray | None = None
+        self._found: IndexArray = np.empty((0, 2), dtype=np.intp)
+        self._warned = False
+        self._allowed = self._keys(self.apart) if neighbours == "surface" else np.empty(0, dtype=np.intp)
+        self._report(neighbours)
+
+    def _report(self, neighbours: Neighbours) -> None:
+        """Say how many pairs start within range without being neighbours."""
+        if not len(self.apart):
+            return
+        closer = int(np.count_nonzero(_gaps(self.quadrature.points, self.apart)[1] < self.kernel.r_max))
+        found = (
+            f"contact: {len(self.apart)} pairs of points start nearer than r_self = {self.r_self:g}, {closer} of them "
+            f"nearer than r_max = {self.kernel.r_max:g}, without a way of {WAY:g} r_self between them along the surface"
+        )
+        if neighbours == "space":
+            log.info("%s; with neighbours = 'space' they never touch", found)
+        elif closer:
+            log.warning("%s; those within r_max push each other from the start: reduce r_max if they should not", found)
+        else:
+            log.info("%s; they may touch", found)
+
+    @cached_property
+    def spacing_ratio(self) -> float:
+        """Largest local spacing of the points over r_max; beyond about 0.75 surfaces may pass between points.
+
+        The spacing at a point is the square root (in the plane: the value) of the mean weight of the points within
+        r_self of it in the reference configuration.
+        """
+        X, W = self.quadrature.points[self._used], self.quadrature.weights[self._used]
+        n, dim = len(X), X.shape[1] - 1
+        i, j = cKDTree(X).query_pairs(self.r_self, output_type="ndarray").T
+        number = 1 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
+        area = W + np.bincount(i, W[j], minlength=n) + np.bincount(j, W[i], minlength=n)
+        return float((area / number).max(initial=0.0) ** (1 / dim) / self.kernel.r_max)
+
+    def evaluate(
+        self, x: ArrayLike, *, tangent: bool = True, positive: bool = False, alpha: float = 1.0
+    ) -> ContactForces:
+        """Energy, forces and tangent in a configuration.
+
+        Args:
+            x: current positions of the points, shape (nodes, d); unit: length.
+            tangent: whether to assemble the tangent.
+            positive: leave out what makes the tangent of a pair indefinite, ``phi'/r (I - r r)`` of repelling points
+                and a negative phi''.
+            alpha: factor of the tangent > 0, the derivative of x by the positions solved for (alpha_f of a time step).
+
+        Returns:
+            The contact.
+
+        Raises:
+            ValueError: x has a wrong shape, or alpha is out of range.
+            SolveError: x is not finite, as after a failed solve.
+        """
+        positions, alpha = self._checked(x), checks.positive("alpha", alpha)
+        pairs, gap, r = self._interacting(positions)
+        apart = r >= COINCIDENT * self.kernel.r_max
+        inverse = np.divide(1.0, r, out=np.zeros_like(r), where=apart)
+        direction = inverse[:, None] * gap
+        if not apart.all():
+            direction[~apart] = self._reference_directions(pairs[~apart])
+        weight = self.quadrature.weights[pairs].prod(axis=1)
+        slope = weight * self.kernel.slope(r)
+        w = self.quadrature.rational
+        forces = _ends(pairs, len(w), -1.0) @ (slope[:, None] * direction) / w[:, None]
+        matrix = None
+        if tangent:
+            along, across = alpha * weight * self.kernel.curvature(r), alpha * slope * inverse
+            if positive:
+                along, across = np.maximum(along, 0.0), np.maximum(across, 0.0)
+            matrix = _assemble(pairs, _stiffness(direction, along, across), w)
+        return ContactForces(
+            energy=float(weight @ self.kernel.energy(r)),
+            forces=forces,
+            tangent=matrix,
+            pairs=len(pairs),
+            load=float(np.abs(slope).sum()),
+            distance=float(r.min(initial=np.inf)),
+            coincident=int(np.count_nonzero(~apart)),
+        )
+
+    def closing_speed(self, x: ArrayLike, velocity: FloatArray, dt: float) -> float:
+        """Largest speed at which two points approach each other that might interact within a time step.
+
+        Args:
+            x: present positions of the points, shape (nodes, d); unit: length.
+            velocity: their velocities, shape (nodes, d).
+            dt: the step; unit: time.
+
+        Returns:
+            Rate of decrease of the distance of the fastest such pair, 0 where none approaches; unit: length/time.
+
+        Raises:
+            ValueError: x has a wrong shape.
+            SolveError: x is not finite.
+        """
+        positions = self._checked(x)
+        fastest = 2.0 * float(np.sqrt(np.einsum("ni,ni->n", velocity, velocity)).max(initial=0.0))
+        reach = self.kernel.r_max + min(fastest * dt, MOST_APPROACH * self.kernel.r_max)
+        pairs = self._search(positions, reach)
+        gap, r = _gaps(positions, pairs)
+        rate = np.einsum("pi,pi->p", gap, _gaps(velocity, pairs)[0])
+        return float(-np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0).min(initial=0.0))
+
+    def _checked(self, x: ArrayLike) -> FloatArray:
+        positions = np.asarray(x, dtype=np.float64)
+        if positions.shape != self.quadrature.points.shape:
+            raise ValueError(f"x has shape {positions.shape}: shape {self.quadrature.points.shape} is required")
+        if not np.isfinite(positions).all():
+            raise SolveError("x, the positions at which contact is evaluated, is not finite")
+        return positions
+
+    def _interacting(self, x: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
+        """Admissible pairs closer than r_max in ascending order, the vectors between them and their distances."""
+        reach = (1.0 + SKIN) * self.kernel.r_max
+        slack = 0.5 * SKIN * self.kernel.r_max / np.sqrt(x.shape[1])
+        if self._searched_at is None or np.abs(x - self._searched_at).max(initial=0.0) > slack:
+            self._found, self._searched_at = self._search(x, reach), x.copy()
+        gap, r = _gaps(x, self._found)
+        close = r < self.kernel.r_max
+        return self._found[close], gap[close], r[close]
+
+    def _search(self, x: FloatArray, reach: float) -> IndexArray:
+        """All admissible pairs closer than ``reach``, in ascending order, shape (pairs, 2)."""
+        tree = cKDTree(x[self._used], balanced_tree=False, compact_nodes=False)
+        pairs = self._used[tree.query_pairs(reach, output_type="ndarray")]
+        far = _gaps(self.quadrature.points, pairs)[1] > self.r_self
+        if len(self._allowed):
+            far |= np.isin(self._keys(pairs), self._allowed, assume_unique=True)
+        pairs = pairs[far]
+        return pairs[_by_column(pairs[:, 1], pairs[:, 0], np.arange(len(pairs)), len(x)).data]
+
+    def _keys(self, pairs: IndexArray) -> IndexArray:
+        """One number for every pair, in whatever order its points are given."""
+        return pairs.min(axis=1) * len(self.quadrature.points) + pairs.max(axis=1)
+
+    def _reference_directions(self, pairs: IndexArray) -> FloatArray:
+        """Unit vectors between the reference positions of pairs that are in the same place."""
+        if not self._warned:
+            self._warned = True
+            log.warning("contact: %d pairs of points are in the same place; they are pushed back apart", len(pairs))
+        gap, r = _gaps(self.quadrature.points, pairs)
+        return gap / r[:, None]
+
+
+def _gaps(x: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Vectors from the first to the second point of pairs, and their lengths."""
+    gap = np.take(x, pairs[:, 1], axis=0)
+    gap -= np.take(x, pairs[:, 0], axis=0)
+    return gap, np.sqrt(np.einsum("pi,pi->p", gap, gap))
+
+
+def _ends(pairs: IndexArray, n: int, first: float) -> sp.csc_matrix:
+    """Matrix (n, pairs) that adds a pair's value to its second point and ``first`` times it to its first."""
+    m = len(pairs)
+    signs = np.tile([first, 1.0], m)
+    return sp.csc_matrix((signs, pairs.ravel(), np.arange(0, 2 * m + 1, 2)), shape=(n, m))
+
+
+def _by_column(rows: IndexArray, columns: IndexArray, values: IndexArray, n: int) -> sp.csc_matrix:
+    """Distinct entries sorted by columns and then by rows, in linear time."""
+    table = sp.coo_matrix((values, (rows, columns)), shape=(n, n))
+    table.has_canonical_format = True  # no entry twice: nothing to sum
+    return table.tocsr().tocsc()
+
+
+def _stiffness(direction: FloatArray, along: FloatArray, across: FloatArray) -> FloatArray:
+    """Blocks ``along r r + across (I - r r)`` of pairs, shape (pairs, d, d)."""
+    blocks = direction[:, :, None] * direction[:, None, :]
+    blocks *= (along - across)[:, None, None]
+    for i in range(direction.shape[1]):
+        blocks[:, i, i] += across
+    return blocks
+
+
+def _assemble(pairs: IndexArray, blocks: FloatArray, w: FloatArray) -> sp.bsr_matrix:
+    """Sum over pairs of their block on both diagonals and minus it off them, for homogeneous nodal values."""
+    (m, d, _), n = blocks.shape, len(w)
+    touching = np.zeros(n, dtype=bool)
+    touching[pairs] = True
+    nodes = np.flatnonzero(touching)
+    diagonal = (_ends(pairs, n, 1.0) @ blocks.reshape(m, d * d))[nodes].reshape(-1, d, d) / w[nodes, None, None] ** 2
+    values = np.concatenate([-blocks / w[pairs].prod(axis=1)[:, None, None], diagonal])
+    number, (i, j) = np.arange(len(values)), pairs.T
+    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
+    order = _by_column(rows, columns, np.concatenate([number[:m], number]), n)  # symmetric: as good as by rows
+    data = np.take(values, order.data, axis=0)
+    return sp.bsr_matrix((data, order.indices, order.indptr), shape=(n * d, n * d))

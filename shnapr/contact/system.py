@@ -1,0 +1,81 @@
+"""A shell's reduced system with nonlocal contact; a shell without contact takes ``SplineSystem`` itself."""
+
+from typing import Any
+
+import ufl
+from dolfinx import fem
+
+from shnapr.contact.self_contact import ContactForces, SelfContact
+from tigar_x.compat import FloatArray
+from tigar_x.fem.linear import LinearSolver, SolveError
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+
+
+class ContactSystem(SplineSystem):
+    """Residual and tangent of a shell with the contact between its points.
+
+    Args:
+        spline: the midsurface, on one rank.
+        residual: UFL residual in ``spline.V`` without contact.
+        tangent: its tangent.
+        contact: the contact, on the nodal quadrature of the spline.
+        unknown: homogeneous displacement.
+        time: integrator of the unknown; contact then acts at its intermediate level. None: a static problem.
+        positive: whether the tangent of contact leaves out what makes it indefinite.
+        solver: linear solver recipe; None: direct.
+
+    Attributes:
+        contact: as given.
+        positive: as given; it may be changed between tangents.
+        forces: contact at the state of the last residual; None before the first one.
+    """
+
+    forces: ContactForces | None = None
+
+    def __init__(
+        self,
+        spline: ExtractedSpline,
+        residual: ufl.Form,
+        tangent: ufl.Form,
+        contact: SelfContact,
+        *,
+        unknown: fem.Function,
+        time: TimeIntegrator | None = None,
+        positive: bool = False,
+        solver: LinearSolver | None = None,
+    ) -> None:
+        super().__init__(spline, residual, tangent, solver, unknown=unknown)
+        self.contact = contact
+        self._spline = spline
+        self._y = unknown
+        self._time = time
+        self.positive = positive
+
+    def positions(self) -> FloatArray:
+        """Points at which contact acts, at the intermediate level of a time step, shape (nodes, nsd); unit: length."""
+        y = self._y.x.array if self._time is None else self._time.x_alpha_array()
+        return self._spline.node_positions + y.reshape(-1, self._spline.nsd) / self._spline.node_weights[:, None]
+
+    def _contact(self, *, tangent: bool) -> ContactForces:
+        alpha = 1.0 if self._time is None else self._time.x_factor
+        return self.contact.evaluate(self.positions(), tangent=tangent, positive=self.positive, alpha=alpha)
+
+    def assemble_residual(self, load: FloatArray | None = None) -> float:
+        """Assemble and extract the residual with contact, see the base class."""
+        try:
+            self.forces = self._contact(tangent=False)
+        except SolveError:
+            return float("nan")
+        forces = self.forces.forces
+        return super().assemble_residual(forces if load is None else forces + load)
+
+    def renew_contact(self) -> None:
+        """Assemble the tangent of contact anew and keep that of the form."""
+        self.extract_tangent(self._contact(tangent=True).tangent)
+
+    def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: Any = None) -> None:
+        """Assemble and extract the tangent with contact, see the base class."""
+        own = self._contact(tangent=True).tangent
+        super().assemble_tangent(diagonal, own if pairs is None else own + pairs)

@@ -1,0 +1,212 @@
+"""Linear solvers: a recipe bound to a matrix. The recipes come from :mod:`tigar_x.fem.recipes`."""
+
+import itertools
+import logging
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+
+from petsc4py import PETSc
+
+from tigar_x import compat
+from tigar_x.fem.recipes import (
+    LARGE,
+    MEDIUM,
+    SMALL,
+    LinearSolver,
+    SolveError,
+    automatic,
+    direct,
+    gmres_ilu,
+    gmres_sor,
+    multigrid,
+)
+
+__all__ = [
+    "LARGE",
+    "MEDIUM",
+    "SMALL",
+    "LinearSolver",
+    "PreparedSolver",
+    "SolveError",
+    "automatic",
+    "direct",
+    "gmres_ilu",
+    "gmres_sor",
+    "multigrid",
+]
+
+log = logging.getLogger(__name__)
+_prefixes = itertools.count()
+
+
+def _of_one_rank(options: dict[str, str | int | float]) -> dict[str, str | int | float]:
+    """Options without a Schwarz method, whose only subdomain solver takes its place."""
+    if options.get("pc_type") != "asm":
+        return options
+    inner = {key.removeprefix("sub_"): value for key, value in options.items() if key.startswith("sub_")}
+    rest = {key: value for key, value in options.items() if not key.startswith(("sub_", "pc_asm"))}
+    return rest | inner
+
+
+class PreparedSolver:
+    """A recipe bound to one matrix, with its factors or preconditioner kept as long as they serve.
+
+    Args:
+        recipe: what to do.
+        A: the matrix; its values may change between solves, its pattern may not.
+    """
+
+    def __init__(self, recipe: LinearSolver, A: PETSc.Mat) -> None:
+        self.recipe = recipe
+        self._A = A
+        prefix, options = f"tigar_x_{next(_prefixes)}_", dict(recipe.options)
+        self._prefix = prefix
+        if A.comm.size == 1:
+            options = _of_one_rank(options)
+        self._options = {prefix + key: value for key, value in options.items()}
+        self._kept_iterations: int | None = None
+        self._fallback: PreparedSolver | None = None
+        self._residual: PETSc.Vec | None = None
+        self._copy: PETSc.Vec | None = None
+        self._converted: PETSc.Mat | None = None
+        self._converted_state = -1
+
+    @contextmanager
+    def _table_of_options(self) -> Iterator[None]:
+        """The recipe's options in PETSc's table, which is finite.
+
+        Subdomain solvers read theirs in the first solve, multigrid whenever the matrix has changed.
+        """
+        table = PETSc.Options()
+        try:
+            for key, value in self._options.items():
+                table[key] = value
+            yield
+        finally:
+            for key in self._options:
+                table.delValue(key)
+
+    @cached_property
+    def _ksp(self) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(self._A.comm)
+        compat.freed_with(self, ksp)
+        ksp.setOptionsPrefix(self._prefix)
+        ksp.setOperators(self._operator())
+        ksp.setFromOptions()
+        return ksp
+
+    def _operator(self) -> PETSc.Mat:
+        """The matrix, in the type that the recipe wants: a fallback may want another one than the first recipe."""
+        if self.recipe.matrix != "aij" or "baij" not in self._A.getType():
+            return self._A
+        state = self._A.stateGet()
+        if self._converted is None:
+            self._converted = PETSc.Mat()
+            self._A.convert("aij", self._converted)
+            compat.freed_with(self, self._converted)
+            null = self._A.getNullSpace()
+            if null.handle:
+                self._converted.setNullSpace(null)
+        elif state != self._converted_state:
+            self._A.convert("aij", self._converted)
+        self._converted_state = state
+        return self._converted
+
+    def _attempt(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None, keep: bool) -> tuple[str, int]:
+        """Why the recipe failed (empty: it did not), and its iterations."""
+        # a solve that PETSc breaks off leaves its right-hand side locked, so it gets a copy
+        if self._copy is None:
+            self._copy = b.duplicate()
+            compat.freed_with(self, self._copy)
+        b.copy(self._copy)
+        try:
+            with self._table_of_options():
+                self._operator()
+                self._set_tolerances(reference)
+                self._ksp.getPC().setReusePreconditioner(keep)
+                self._ksp.solve(self._copy, x)
+        except PETSc.Error as error:
+            self._copy = None
+            return f"PETSc: {error}", 0
+        iterations, reason = int(self._ksp.getIterationNumber()), int(self._ksp.getConvergedReason())
+        if reason <= 0:
+            singular = "the matrix is singular or not finite, " if self.recipe.is_direct else ""
+            return f"{singular}PETSc reason {reason}", iterations
+        if not math.isfinite(x.norm()):
+            return "the solution is not finite", iterations
+        if self._ksp.getNormType() == PETSc.KSP.NormType.NONE:  # it has looked at no residual
+            accepted = 0.1 if self.recipe.is_direct else self.recipe.rtol
+            if not self._solves(
+                b, x, accepted * (b.norm() if reference is None or self.recipe.is_direct else reference)
+            ):
+                return "the matrix is singular" if self.recipe.is_direct else "its residual is too large", iterations
+        return "", iterations
+
+    def _set_tolerances(self, reference: float | None) -> None:
+        if self.recipe.is_direct:
+            return
+        rtol, smallest = self.recipe.rtol, float(self.recipe.options.get("ksp_atol", 1e-300))
+        if reference is None:
+            self._ksp.setTolerances(rtol=rtol, atol=smallest)
+        else:
+            self._ksp.setTolerances(rtol=0.0, atol=max(rtol * reference, smallest))
+
+    def _discard(self) -> None:
+        """A factorisation that has failed once is not made again by PETSc, whatever becomes of the matrix."""
+        if "_ksp" in vars(self):
+            self._ksp.destroy()
+            del self._ksp
+
+    def _solves(self, b: PETSc.Vec, x: PETSc.Vec, accepted: float) -> bool:
+        """Whether the residual's norm is acceptable; with factors of a singular matrix it may not even fall."""
+        if self._residual is None:
+            self._residual = b.duplicate()
+            compat.freed_with(self, self._residual)
+        self._A.mult(x, self._residual)
+        self._residual.axpy(-1.0, b)
+        return bool(self._residual.norm() <= accepted)
+
+    def destroy(self) -> None:
+        """Free the factors, which petsc4py would keep (collective); the object is of no use afterwards."""
+        self._discard()
+        if self._fallback is not None:
+            self._fallback.destroy()
+        for thing in (self._residual, self._copy, self._converted):
+            if thing is not None:
+                thing.destroy()
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
+        """Solve ``A x = b``.
+
+        Args:
+            b: right-hand side, finite.
+            x: overwritten by the solution.
+            reference: norm that the recipe's relative tolerance refers to; None: that of ``b``.
+
+        Returns:
+            Number of iterations (1 for a direct solver).
+
+        Raises:
+            SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
+        """
+        growth = self.recipe.rebuild_growth
+        keep = growth is not None and self._kept_iterations is not None
+        cause, iterations = self._attempt(b, x, reference, keep)
+        if keep and growth is not None and (cause or iterations > growth * (self._kept_iterations or 0) + 2):
+            self._kept_iterations = None
+            if cause:
+                return self.solve(b, x, reference)
+        elif not keep:
+            self._kept_iterations = iterations
+        if not cause:
+            return max(iterations, 1)
+        self._kept_iterations = None
+        self._discard()
+        if self.recipe.fallback is None:
+            raise SolveError(f"{self.recipe.name} failed after {iterations} iterations ({cause})")
+        log.warning("%s failed (%s); using %s", self.recipe.name, cause, self.recipe.fallback.name)
+        if self._fallback is None:
+            self._fallback = PreparedSolver(self.recipe.fallback, self._A)
+        return iterations + self._fallback.solve(b, x, reference)

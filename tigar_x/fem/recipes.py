@@ -1,0 +1,200 @@
+"""Named recipes for linear systems; :mod:`tigar_x.fem.linear` binds one to a matrix."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from tigar_x import checks
+
+DEFAULT_RTOL = 1e-5
+"""PETSc's tolerance where a recipe has none."""
+SMALL = 1000
+"""Unknowns below which a direct solver costs next to nothing, whatever the matrix."""
+MEDIUM = 30_000
+"""Unknowns of a stabilised flow in the plane from which on MUMPS takes less time than GMRES with ILU(1)."""
+LARGE = {2: 1_000_000, 3: 1_500_000}
+"""Unknowns of a stabilised flow from which on multigrid takes no more time, and half the memory, by dimension."""
+
+
+class SolveError(RuntimeError):
+    """A linear or nonlinear solve that gave no usable answer."""
+
+
+@dataclass(frozen=True)
+class LinearSolver:
+    """A named recipe for ``A x = b``.
+
+    Attributes:
+        name: what messages and reports call it.
+        options: PETSc options of the KSP, without prefix. What is not given is PETSc's default. The norm that is tested
+            is the method's own; the recipes below test that of the true residual.
+        matrix: PETSc matrix type that the recipe wants for node-blocked systems, "aij" or "baij".
+        rebuild_growth: keep a preconditioner while iterations stay below this factor times those after it was built;
+            None: rebuild it whenever the matrix changed.
+        fallback: recipe to use when this one fails; None: fail.
+    """
+
+    name: str
+    options: Mapping[str, str | int | float] = field(hash=False)
+    matrix: str = "aij"
+    rebuild_growth: float | None = None
+    fallback: "LinearSolver | None" = None
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether it is a factorisation that is applied once, without a tolerance."""
+        return self.options.get("ksp_type") == "preonly" and self.options.get("pc_type") in ("lu", "cholesky")
+
+    @property
+    def rtol(self) -> float:
+        """Reduction of the residual's norm at which it stops; 0 for a factorisation."""
+        return 0.0 if self.is_direct else float(self.options.get("ksp_rtol", DEFAULT_RTOL))
+
+
+def direct(package: str = "mumps") -> LinearSolver:
+    """Sparse LU factorisation.
+
+    Args:
+        package: PETSc factorisation package, "mumps" (any number of ranks) or "petsc" (one rank, small systems).
+
+    Returns:
+        The recipe.
+    """
+    options: dict[str, str | int | float] = {"ksp_type": "preonly", "pc_type": "lu"}
+    options["pc_factor_mat_solver_type"] = package
+    return LinearSolver(f"direct({package})", options)
+
+
+def gmres_ilu(
+    levels: int = 1,
+    *,
+    rtol: float = 1e-8,
+    max_iterations: int = 200,
+    overlap: int = 2,
+    rebuild_growth: float | None = None,
+    fallback: LinearSolver | None = None,
+) -> LinearSolver:
+    """Right-preconditioned GMRES with node-blocked incomplete LU in reverse Cuthill-McKee order.
+
+    On several ranks the factorisation is the subdomain solver of an overlapping additive Schwarz method.
+
+    Args:
+        levels: levels of fill.
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        overlap: overlap of the Schwarz subdomains; 2 halves the iterations of 1 in the plane, and is no worse in space.
+        rebuild_growth: see :class:`LinearSolver`.
+        fallback: recipe to use when GMRES fails; None: :func:`gmres_sor`, and MUMPS after that.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    ilu: dict[str, str | int] = {
+        "pc_type": "ilu",
+        "pc_factor_levels": checks.whole("levels", levels, 0),
+        "pc_factor_mat_ordering_type": "rcm",
+    }
+    options = _gmres(rtol, max_iterations)
+    options |= {"pc_type": "asm", "pc_asm_overlap": checks.whole("overlap", overlap, 0)}
+    options |= {f"sub_{key}": value for key, value in ilu.items()}
+    next_one = gmres_sor(rtol=rtol) if fallback is None else fallback
+    return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, next_one)
+
+
+def _gmres(rtol: float, max_iterations: int) -> dict[str, str | int | float]:
+    return {
+        "ksp_type": "gmres",
+        "ksp_pc_side": "right",
+        "ksp_norm_type": "unpreconditioned",
+        "ksp_rtol": checks.positive("rtol", rtol),
+        "ksp_max_it": checks.whole("max_iterations", max_iterations, 1),
+        "ksp_gmres_restart": max_iterations,
+        # the classical method, PETSc's default, loses orthogonality after about a hundred iterations
+        "ksp_gmres_modifiedgramschmidt": 1,
+    }
+
+
+def gmres_sor(*, rtol: float = 1e-8, max_iterations: int = 100, fallback: LinearSolver | None = None) -> LinearSolver:
+    """Right-preconditioned GMRES with node-blocked symmetric successive over-relaxation: no set-up, little memory.
+
+    Args:
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed.
+        fallback: recipe to use when GMRES fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    options = _gmres(rtol, max_iterations) | {"pc_type": "sor"}
+    return LinearSolver("gmres_sor", options, "baij", None, direct() if fallback is None else fallback)
+
+
+def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: LinearSolver | None = None) -> LinearSolver:
+    """Flexible GMRES with algebraic multigrid of smoothed aggregation on whole nodes (PETSc's GAMG).
+
+    Two steps of GMRES with incomplete LU smooth the levels, one block a rank; MUMPS solves the coarsest. Iterations
+    grow slowly with the number of unknowns, and so does memory; the set-up costs as much as ten iterations of others.
+
+    Args:
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        fallback: recipe to use when it fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    options = _gmres(rtol, max_iterations) | {
+        "ksp_type": "fgmres",
+        "pc_type": "gamg",
+        "pc_gamg_agg_nsmooths": 1,
+        "pc_gamg_threshold": 0.0,
+        "pc_gamg_aggressive_coarsening": 1,
+        "pc_gamg_coarse_eq_limit": 20_000,
+        "mg_levels_ksp_type": "gmres",
+        "mg_levels_ksp_max_it": 2,
+        "mg_levels_pc_type": "bjacobi",
+        "mg_levels_sub_pc_type": "ilu",
+        "mg_levels_sub_pc_factor_levels": 1,
+        "mg_levels_sub_pc_factor_mat_ordering_type": "rcm",
+        "mg_coarse_pc_type": "lu",
+        "mg_coarse_pc_factor_mat_solver_type": "mumps",
+    }
+    return LinearSolver("multigrid", options, "aij", None, direct() if fallback is None else fallback)
+
+
+def automatic(
+    unknowns: int, *, blocked: bool, dimension: int | None = None, kept: bool = False, rtol: float = 1e-8
+) -> LinearSolver:
+    """Recipe by size and layout: MUMPS for small or mixed systems, GMRES with block ILU(1) for others.
+
+    In the plane MUMPS is faster than GMRES with ILU from ``MEDIUM`` unknowns on, or from the start where factors are
+    kept from step to step; beyond ``LARGE`` multigrid takes less time or memory. An immersed surface makes the system
+    of a flow another one: its dimension is then not given.
+
+    Args:
+        unknowns: global number of unknowns.
+        blocked: whether all components live at the same nodes, as in a stabilised equal-order flow; a mixed system may
+            have zeros on its diagonal, which incomplete factors do not bear.
+        dimension: of space, for a flow without an immersed surface; None: another system.
+        kept: whether the matrix and its factors serve several steps.
+        rtol: of iterative solvers.
+
+    Returns:
+        The recipe.
+    """
+    size = checks.whole("unknowns", unknowns, 1)
+    if not blocked or size < SMALL:
+        return direct()
+    if dimension is not None and size >= LARGE[dimension]:
+        return multigrid(rtol=rtol)
+    if dimension == 2 and (kept or size >= MEDIUM):
+        return direct()
+    return gmres_ilu(1, rtol=rtol, fallback=multigrid(rtol=rtol) if dimension == 3 else None)

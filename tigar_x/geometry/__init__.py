@@ -1,0 +1,1 @@
+"""Spline geometry: bases, patches alone and joined, shapes, files; all of it is data, none of it dolfinx's."""

@@ -1,0 +1,1 @@
+"""Runs: command lines, progress, costs and summaries, output, checkpoints, studies of convergence."""

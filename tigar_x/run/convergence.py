@@ -1,0 +1,172 @@
+"""Refinement studies: errors on a sequence of meshes, the rates with which they fall, and what they cost."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypeVar
+
+import numpy as np
+
+from tigar_x import checks
+from tigar_x.run.progress import Stopwatch, peak_rss_mib
+from tigar_x.run.summary import table
+
+
+class Solved(Protocol):
+    """What a study asks of a solution."""
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+
+
+S = TypeVar("S", bound=Solved)
+
+
+@dataclass(frozen=True)
+class Level:
+    """One mesh of a study.
+
+    Attributes:
+        elements: number of elements per direction.
+        unknowns: number of unknowns.
+        errors: errors by name, positive.
+        cpu_s: CPU seconds of the solution, without the compilation of forms.
+        wall_s: wall seconds of the same.
+        peak_rss_mib: largest resident memory of the process until then [MiB].
+
+    Raises:
+        ValueError: an error is not a positive number, or there is no element.
+    """
+
+    elements: int
+    unknowns: int
+    errors: Mapping[str, float]
+    cpu_s: float
+    wall_s: float
+    peak_rss_mib: float
+
+    def __post_init__(self) -> None:
+        checks.whole("elements", self.elements, 1)
+        for name, error in self.errors.items():
+            checks.positive(f"errors[{name!r}]", error)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Errors from level to level.
+
+    Attributes:
+        levels: from coarse to fine, with the same names of errors.
+        expected: rates of theory by name of the error; names may be missing.
+        last: how many of the finest levels the rates are fitted to.
+
+    Raises:
+        ValueError: fewer than two levels, or ``last`` below two.
+    """
+
+    levels: tuple[Level, ...]
+    expected: Mapping[str, float]
+    last: int = 3
+
+    def __post_init__(self) -> None:
+        checks.whole("last", self.last, 2)
+        if len(self.levels) < 2:
+            raise ValueError(f"levels has {len(self.levels)} entries: two or more are required")
+
+    @property
+    def rates(self) -> dict[str, float]:
+        """Rates r of errors C h^r, by least squares in the logarithms."""
+        levels = self.levels[-self.last :]
+        log_h = -np.log([level.elements for level in levels])
+        return {
+            name: float(np.polyfit(log_h, np.log([level.errors[name] for level in levels]), 1)[0])
+            for name in levels[0].errors
+        }
+
+    def table(self) -> str:
+        """Text: a line for every level, then the fitted rates and those of theory."""
+        rates = self.rates
+        rows: list[list[Any]] = [
+            [v.elements, v.unknowns, *v.errors.values(), v.cpu_s, v.peak_rss_mib] for v in self.levels
+        ]
+        rows.append(["rate", "", *(f"{rate:.2f}" for rate in rates.values()), "", ""])
+        rows.append(["theory", "", *(f"{self.expected[n]:g}" if n in self.expected else "-" for n in rates), "", ""])
+        return table(["elements", "unknowns", *rates, "CPU s", "peak MiB"], rows)
+
+    def results(self) -> dict[str, Any]:
+        """Entries of a demo's summary: the finest errors, all levels, rates and costs."""
+        finest = self.levels[-1]
+        return {
+            "errors": finest.errors,
+            "rates": self.rates,
+            "rates_expected": self.expected,
+            "unknowns": finest.unknowns,
+            "levels": self.levels,
+            "wall_s": sum(level.wall_s for level in self.levels),
+            "cpu_s": sum(level.cpu_s for level in self.levels),
+        }
+
+    def draw(self, axes: Any, against: Literal["elements", "cpu_s"] = "cpu_s") -> None:
+        """Draw the errors against the number of elements per direction or CPU time, logarithmic.
+
+        Args:
+            axes: of matplotlib.
+            against: attribute of the levels.
+
+        Raises:
+            ValueError: another attribute.
+        """
+        labels = {"elements": "elements per direction", "cpu_s": "CPU time [s]"}
+        label = labels[checks.choice("against", against, tuple(labels))]
+        x = [getattr(level, against) for level in self.levels]
+        for name, rate in self.rates.items():
+            axes.loglog(x, [level.errors[name] for level in self.levels], "o-", label=f"{name}: rate {rate:.2f}")
+        axes.set(xlabel=label, ylabel="error")
+        axes.grid(True, linewidth=0.4)
+        axes.legend()
+
+
+def doubled(elements: int, levels: int) -> tuple[int, ...]:
+    """Numbers of elements n, 2 n, 4 n, ... of a sequence of meshes.
+
+    Args:
+        elements: number per direction on the coarsest level.
+        levels: number of levels, 2 or more.
+
+    Raises:
+        ValueError: one of them is out of range.
+    """
+    first, count = checks.whole("elements", elements, 1), checks.whole("levels", levels, 2)
+    return tuple(first * 2**i for i in range(count))
+
+
+def refine(
+    solve: Callable[[Any], S],
+    errors: Callable[[S], Mapping[str, float]],
+    elements: Sequence[int],
+    expected: Mapping[str, float],
+    prepare: Callable[[int], Any] | None = None,
+) -> tuple[Study, S]:
+    """Solve on finer and finer meshes; only ``solve`` is timed.
+
+    Args:
+        solve: from the number of elements per direction, or from what ``prepare`` makes of it, to a solution.
+        errors: from the solution to its errors by name.
+        elements: numbers per direction from coarse to fine, see :func:`doubled`.
+        expected: rates of theory by name of the error.
+        prepare: what is not to be timed, such as mesh and forms; None: nothing.
+
+    Returns:
+        The study, and the solution on the finest mesh.
+
+    Raises:
+        ValueError: fewer than two meshes, or an error that is not a positive number.
+    """
+    levels: list[Level] = []
+    for n in elements:
+        watch, problem = Stopwatch(), n if prepare is None else prepare(n)
+        with watch:
+            solution = solve(problem)
+        memory = peak_rss_mib()
+        levels.append(Level(n, solution.unknowns, errors(solution), watch.cpu_s, watch.wall_s, memory))
+    return Study(tuple(levels), expected), solution

@@ -1,0 +1,107 @@
+"""What a run amounts to: quantities of interest, ``summary.json``, tables, versions."""
+
+import json
+import platform
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import numpy as np
+import scipy
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from tigar_x import compat
+from tigar_x.ranks import on_root, together
+from tigar_x.run.progress import peak_rss_mib
+from tigar_x.run.writing import replace_text
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of interest.
+
+    Attributes:
+        value: computed.
+        published: value in the literature; None: none.
+        doi: where it was published; None: nowhere.
+    """
+
+    value: float
+    published: float | None = None
+    doi: str | None = None
+
+
+def versions() -> dict[str, str]:
+    """Versions of the libraries underneath, for reports."""
+    return {
+        "dolfinx": dolfinx.__version__,
+        "ufl": ufl.__version__,
+        "petsc": ".".join(str(part) for part in PETSc.Sys.getVersion()),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def plain(value: Any) -> Any:
+    """Containers of dataclasses, NumPy's arrays and paths as JSON has them; None in a dataclass is left out."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain({k: v for k, v in asdict(value).items() if v is not None})
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    return str(value) if isinstance(value, Path) else value
+
+
+def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) -> dict[str, Any]:
+    """Write ``summary.json`` of a demo; costs of the process and versions are added (collective; rank 0 writes).
+
+    Args:
+        out: folder of the results; made if missing.
+        demo: name of the demo.
+        inputs: its parameters.
+        results: errors, quantities and costs; those that are None are left out.
+
+    Returns:
+        The summary.
+
+    Raises:
+        ValueError: on all ranks: a result is not finite.
+        OSError: on all ranks: the file cannot be written.
+    """
+    known = {key: value for key, value in results.items() if value is not None}
+    summary = plain(
+        {
+            "demo": demo,
+            "inputs": inputs,
+            **known,
+            "compile_s": compat.compile_seconds(),
+            "peak_rss_mib": MPI.COMM_WORLD.allreduce(peak_rss_mib(), op=MPI.MAX),
+            "versions": versions(),
+        }
+    )
+    text = together(MPI.COMM_WORLD, lambda: json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    on_root(MPI.COMM_WORLD, lambda: replace_text(out / "summary.json", text))
+    return dict(summary)
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Plain text table.
+
+    Args:
+        header: column names.
+        rows: rows of the same length; floats are shown with four digits.
+
+    Returns:
+        Lines with aligned columns.
+    """
+    cells = [[f"{c:.4g}" if isinstance(c, float) else str(c) for c in row] for row in [list(header), *map(list, rows)]]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in cells)

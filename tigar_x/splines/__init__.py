@@ -1,0 +1,1 @@
+"""Splines in finite element bases: extraction, spaces, constraints, calculus, systems, output."""

@@ -1,0 +1,110 @@
+"""Projection onto spline spaces: least squares fits, and the cheap lumped one."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import ArrayLike
+from petsc4py import PETSc
+
+from tigar_x import checks, compat
+from tigar_x.compat import FloatArray
+from tigar_x.fem.linear import PreparedSolver, direct
+from tigar_x.splines.space import SplineSpace, extracted_matrix
+
+if TYPE_CHECKING:
+    from tigar_x.splines.spline import ExtractedSpline
+
+
+def fit(space: SplineSpace, mass: ufl.Form, load: ufl.Form, dofs: ArrayLike | None = None) -> fem.Function:
+    """Solve a linear problem for some coefficients; all others are zero.
+
+    The matrix is that of these coefficients alone, so the forms need not reach the others, as those of a boundary.
+
+    Args:
+        space: the space.
+        mass: symmetric positive definite bilinear form.
+        load: linear form.
+        dofs: numbers of the coefficients; None: all but the zero dofs.
+
+    Returns:
+        The field.
+
+    Raises:
+        ValueError: a number is out of range, or a mask is given.
+        SolveError: the linear solver failed.
+    """
+    first, last = space.M.getOwnershipRangeColumn()
+    wanted = np.setdiff1d(np.arange(space.M.size[1]), space.zero_dofs) if dofs is None else dofs
+    wanted = checks.indices("dofs", wanted, space.M.size[1]).ravel()
+    here = np.sort(wanted[(wanted >= first) & (wanted < last)])
+    mass_form, load_form = compat.compile_forms(mass, load)
+    b, right = compat.create_vector(space.V), space.M.createVecRight()
+    compat.assemble_vector(b, load_form)
+    b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+    space.M.multTranspose(b, right)
+    A = extracted_matrix(space, mass_form, here)
+    known, fitted = A.createVecs()
+    known.array_w[:] = right.array_r[here - first]
+    solver = PreparedSolver(direct(), A)
+    solver.solve(known, fitted)
+    right.set(0.0)
+    right.array_w[here - first] = fitted.array_r
+    result = fem.Function(space.V)
+    space.M.mult(right, compat.petsc_vector(result))
+    result.x.scatter_forward()
+    for finished in (solver, A, b, right, known, fitted):
+        finished.destroy()
+    return result
+
+
+class LumpedProjector:
+    """Lumped projection of physical fields onto the spline space.
+
+    ``U_j = w_j [M^T int f phi/w]_j / [M^T int phi/w]_j``; the factor w_j makes constants exact on rational splines.
+
+    Args:
+        spline: the spline.
+        size: number of components of the fields; 1: scalars.
+    """
+
+    def __init__(self, spline: "ExtractedSpline", size: int) -> None:
+        self.spline = spline
+        self.space = spline.free(size)
+        self._b = compat.create_vector(self.space.V)
+        self._load = self.space.M.createVecRight()
+        self._result = fem.Function(self.space.V)
+        self._integrate(self.compile(ufl.as_vector([1.0] * size) if size > 1 else ufl.as_ufl(1.0)))
+        self._scale = self._load.duplicate()
+        first, last = self._scale.getOwnershipRange()
+        self._scale.array_w[:] = spline.geometry.weights[np.arange(first, last) // size] / self._load.array_r
+
+    def compile(self, f: Any) -> Any:
+        """Compiled form of a field, to be given to :meth:`__call__` as often as its coefficients change.
+
+        Args:
+            f: UFL expression, scalar or of shape (size,).
+        """
+        v = ufl.TestFunction(self.space.V)
+        return compat.compile_forms(ufl.inner(f, self.spline.rationalize(v)) * self.spline.dx)[0]
+
+    def _integrate(self, form: Any) -> None:
+        compat.assemble_vector(self._b, form)
+        self._b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        self.space.M.multTranspose(self._b, self._load)
+
+    def __call__(self, form: Any) -> FloatArray:
+        """Nodal values of the projection of a field.
+
+        Args:
+            form: from :meth:`compile`.
+
+        Returns:
+            Physical values at this rank's nodes, shape (nodes, size).
+        """
+        self._integrate(form)
+        self._load.pointwiseMult(self._load, self._scale)
+        self.space.M.mult(self._load, compat.petsc_vector(self._result))
+        self._result.x.scatter_forward()
+        return self.spline.nodal(self._result)

@@ -1,0 +1,102 @@
+"""Checks of a flow before anything is computed."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from tigar_x import checks, compat
+from tigar_x.fem.schemes import Scheme, companion
+from tigar_x.fem.time_integration import TimeIntegrator
+from varmint.conditions import Condition
+from varmint.forms.motion import ElasticMotion
+from varmint.mesh.named import NamedMesh
+
+
+def check_numbers(rho: Any, mu: Any, dt: Any, scheme: Scheme, moving: Any, solid: Any) -> None:
+    """Check the numbers and the attachments of a flow.
+
+    Args:
+        rho: density.
+        mu: dynamic viscosity.
+        dt: time step; None: steady flow.
+        scheme: of time integration.
+        moving: motion of the mesh; None: it is fixed.
+        solid: solid in the flow; None: none.
+
+    Raises:
+        ValueError: one is not allowed, or does not go with another.
+    """
+    checks.parameter("rho", rho, checks.positive)
+    checks.parameter("mu", mu, checks.not_negative if dt is not None else _positive_if_steady)
+    if dt is not None:
+        checks.positive("dt", dt)
+    elif moving is not None or solid is not None:
+        raise ValueError("dt = None: a time step is required where the mesh moves or a solid is in the flow")
+    if moving is not None and dt != moving.time.step_size:
+        raise ValueError(f"dt = {dt!r}: that of the moving mesh, {moving.time.step_size!r}, is required")
+    if moving is not None and companion(scheme) != moving.time.scheme:
+        raise ValueError(f"scheme = {scheme!r}: that of the moving mesh is required")
+    if solid is not None and not isinstance(moving, ElasticMotion):
+        raise ValueError(f"moving = {moving!r}: a solid in the flow requires an ElasticMotion of the other cells")
+
+
+def check_clock(time: TimeIntegrator, moving: Any) -> None:
+    """Check that flow and mesh are at the same time and take the same step.
+
+    Args:
+        time: of the flow.
+        moving: motion of the mesh; None: it is fixed.
+
+    Raises:
+        ValueError: they differ.
+    """
+    if moving is None:
+        return
+    for name, own, other in (("dt", time.step_size, moving.time.step_size), ("t", time.time, moving.time.time)):
+        if own != other:
+            raise ValueError(f"{name} = {own!r}: that of the moving mesh, {other!r}, is required")
+
+
+def _positive_if_steady(name: str, value: Any) -> float:
+    if checks.not_negative(name, value) == 0.0:
+        raise ValueError(
+            f"{name} = {value!r}: a number > 0 is required in steady flow, whose stabilisation has no bound"
+            " where the fluid rests"
+        )
+    return float(value)
+
+
+def check_cover(mesh: NamedMesh, conditions: Sequence[Condition]) -> None:
+    """Check that every boundary facet has one condition (collective).
+
+    Args:
+        mesh: mesh with named facets.
+        conditions: conditions of the flow.
+
+    Raises:
+        ValueError: a facet has none or a group has two, or a group does not exist.
+    """
+    domain = mesh.domain
+    if not conditions:
+        raise ValueError("conditions is empty: every boundary facet needs one")
+    named = [mesh.facets(*condition.groups) for condition in conditions]
+    exterior = compat.exterior_facets(domain)
+    exterior = exterior[exterior < domain.topology.index_map(domain.topology.dim - 1).size_local]
+    covered = np.unique(np.concatenate(named))
+    counts = np.array([len(np.setdiff1d(exterior, covered)), len(exterior)])
+    missing, total = domain.comm.allreduce(counts, op=MPI.SUM)
+    if missing:
+        used = {name for condition in conditions for name in condition.groups}
+        free = [name for name in mesh.facet_names if name not in used]
+        raise ValueError(
+            f"{missing} of {total} boundary facets have no condition: facet groups without one are"
+            f" {', '.join(map(repr, free)) or 'none, but some facets belong to no group'}"
+        )
+    seen: set[str] = set()
+    for condition in conditions:
+        for name in condition.groups:
+            if name in seen:
+                raise ValueError(f"facet group {name!r} has two conditions: one is allowed")
+            seen.add(name)

@@ -1,0 +1,377 @@
+"""A flow as one object: mesh, fluid and conditions become residual, boundary values, solver and steps.
+
+What the scene does not have is not in its forms, see :mod:`varmint.forms.vms`; what is compiled is compiled at the
+first
+solve. The residual, its conditions and its integrator can be given to a coupler instead of being solved here.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import ufl
+from dolfinx import fem
+
+from tigar_x import checks, compat
+from tigar_x.compat import IntArray
+from tigar_x.fem.line_search import LineSearch
+from tigar_x.fem.linear import LinearSolver, SolveError, automatic
+from tigar_x.fem.schemes import Scheme, generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
+from varmint.conditions import Condition, Data, Fields, Resistance, given
+from varmint.flow.attachments import FlowTime, Needs, OutletPressure, SolidInFlow, pressure_pin
+from varmint.flow.checks import check_clock, check_cover, check_numbers
+from varmint.flow.options import (
+    STALLED,
+    STEADY_LINEAR_RTOL,
+    STEADY_RTOL,
+    STEP_LINEAR_RTOL,
+    STEP_RTOL,
+    FlowError,
+    FlowOptions,
+    FlowReport,
+)
+from varmint.flow.start import consistent_start, project, varies
+from varmint.flow.steady import continued
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
+from varmint.forms.solids import Solid
+from varmint.forms.space import equal_order_space, split
+from varmint.forms.vms import frozen_tangent, interior_residual
+from varmint.mesh.named import NamedMesh
+
+__all__ = ["Flow", "FlowError", "FlowOptions", "FlowReport"]
+
+
+class Flow:
+    """Incompressible flow on a mesh with named facets.
+
+    Args:
+        mesh: mesh.
+        conditions: conditions on facet groups; every boundary facet needs one.
+        rho: density > 0, a number or Constant; unit: mass/volume.
+        mu: dynamic viscosity >= 0 (> 0 in steady flow), a number or Constant.
+        degree: polynomial degree k of velocity and pressure.
+        dt: time step; None: steady flow. Unit: time.
+        scheme: first-order scheme; None: generalized-alpha with rho_infinity = 1/2.
+        f: body force per mass; None: none.
+        moving: motion of the mesh, with the same time step and scheme; None: it is fixed.
+        solid: elastic solid in some cells of the mesh, which ``moving`` has to leave out; None: fluid alone.
+        scale_m: factor of tau_M near an immersed surface; None: no surface.
+        scale_c: divisor of tau_C near an immersed surface; None: no surface.
+        options: see there.
+
+    Attributes:
+        mesh: as given.
+        rho: Constant.
+        mu: Constant.
+        V: space of velocity and pressure.
+        w: velocity and pressure at the end of the step.
+        time: integrator; None: steady flow.
+        fields: what the conditions see.
+        v: velocity at the level of the equations, UFL.
+        p: pressure, UFL.
+        terms: parts of the residual, each with the facet groups of its condition, "fluid" or "solid".
+        is_closed: whether no boundary is open and no solid compressible, so that a constant of the pressure remains.
+
+    Raises:
+        ValueError: a number, shape or name is not allowed, or a boundary facet has no condition or two.
+    """
+
+    def __init__(
+        self,
+        mesh: NamedMesh,
+        conditions: Sequence[Condition],
+        *,
+        rho: Any,
+        mu: Any,
+        degree: int = 1,
+        dt: float | None = None,
+        scheme: Scheme | None = None,
+        f: Data = None,
+        moving: PrescribedMotion | ElasticMotion | None = None,
+        solid: Solid | None = None,
+        scale_m: Any = None,
+        scale_c: Any = None,
+        options: FlowOptions | None = None,
+    ) -> None:
+        domain, self.options = mesh.domain, FlowOptions() if options is None else options
+        d = domain.geometry.dim
+        scheme = generalized_alpha(0.5) if scheme is None else scheme
+        check_numbers(rho, mu, dt, scheme, moving, solid)
+        check_cover(mesh, conditions)
+        self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving
+        self.rho, self.mu = (
+            value if isinstance(value, fem.Constant) else compat.Constant(domain, float(value)) for value in (rho, mu)
+        )
+        self.V = equal_order_space(domain, degree)
+        self.w = fem.Function(self.V, name="w")
+        self.time: FlowTime | None = None
+        level, rate, t, t_alpha = self.w, None, compat.Constant(domain, 0.0), None
+        if dt is not None:
+            self.time = FlowTime(self.w, dt, scheme, algebraic=(d,))
+            level, rate, t, t_alpha = self.time.x_alpha, split(self.time.xdot_alpha)[0], self.time.t, self.time.t_alpha
+        (self.v, self.p), (w, q) = split(level), split(ufl.TestFunction(self.V))
+        motion = None if moving is None else moving.motion
+        extra = 0 if motion is None else 2 * (motion.degree - 1)
+        quadrature = 2 * degree + extra if self.options.quadrature_degree is None else self.options.quadrature_degree
+        self.fields = Fields(
+            mesh, self.v, self.p, w, q, self.rho, self.mu, t, t if t_alpha is None else t_alpha, motion,
+            None if moving is None else moving.end, self.options.invariant_metric, quadrature,
+        )  # fmt: skip
+        force = None if f is None else self.fields.vector("f", f)
+        self._solid = SolidInFlow(solid, self, moving, force) if solid and isinstance(moving, ElasticMotion) else None
+        self._interior = {"v_t": rate, "f": force, "scale_m": scale_m, "scale_c": scale_c}
+        self._outlets: list[OutletPressure] = []
+        self.terms = self._terms()
+        self._values: list[Callable[[], None]] = []
+        self._bcs = [] if self._solid is None else [self._solid.condition]
+        self._prescribe()
+        # a solid that can be compressed determines the pressure of a fluid that is enclosed with it
+        self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
+        if self.time is not None:
+            hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
+            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu)
+
+    # -- forms --------------------------------------------------------------------------------------------------------
+
+    def _terms(self) -> list[tuple[tuple[str, ...], ufl.Form]]:
+        terms: list[tuple[tuple[str, ...], ufl.Form]] = [(("fluid",), self.interior(self.v))]
+        if self._solid is not None:
+            terms.append((("solid",), self._solid.residual))
+        for condition in self.conditions:
+            if isinstance(condition, Resistance):
+                outlet = OutletPressure(condition, self)
+                self._outlets.append(outlet)
+                term: ufl.Form | None = condition.term_with(self.fields, outlet.pressure)
+            else:
+                term = condition.term(self.fields)
+            if term is not None:
+                terms.append((condition.groups, term))
+        return terms
+
+    def interior(self, v_tau: Any) -> ufl.Form:
+        """Residual in the fluid, with a velocity of its own in the stabilisation parameters."""
+        f, o = self.fields, self.options
+        dt: Any = None
+        if self.time is not None:
+            dt = self.time.dt if o.tau_dt is None else compat.Constant(self.mesh.domain, float(o.tau_dt))
+        return interior_residual(
+            f.v, f.p, f.w, f.q, self.mesh.domain, rho=self.rho, mu=self.mu, degree=self.degree, dt=dt, C_I=o.C_I,
+            C_t=o.C_t, motion=f.motion, invariant=o.invariant_metric, v_tau=v_tau,
+            dx=self.mesh.dx(*self.fluid_cells, degree=f.degree), **self._interior,
+        )  # fmt: skip
+
+    @property
+    def fluid_cells(self) -> tuple[str, ...]:
+        """Cell groups of the fluid; none: all cells."""
+        return () if self._solid is None else self._solid.fluid
+
+    @property
+    def residual(self) -> ufl.Form:
+        """The whole residual."""
+        return sum((form for _, form in self.terms[1:]), self.terms[0][1])
+
+    @property
+    def tangent(self) -> ufl.Form | None:
+        """Tangent where it is not the derivative of the residual."""
+        if not self.options.frozen_tangent:
+            return None
+        x_tau = fem.Function(self.V)
+        frozen = self.interior(ufl.replace(self.v, {self.w: x_tau}))
+        rest = sum((form for _, form in self.terms[2:]), self.terms[1][1]) if len(self.terms) > 1 else None
+        tangent = frozen_tangent(frozen, self.w, x_tau)
+        return tangent if rest is None else tangent + ufl.derivative(rest, self.w)
+
+    # -- boundary values ----------------------------------------------------------------------------------------------
+
+    def _prescribe(self) -> None:
+        for condition in self.conditions:
+            for item in condition.strong(self.fields):
+                values, bc = compat.prescribed_component(self.V, item.component, item.facets)
+                interpolate = compat.Interpolation(values, ufl.as_ufl(item.value))
+                interpolate()
+                if varies(item.value):
+                    self._values.append(interpolate)
+                self._bcs.append(bc)
+
+    @property
+    def bcs(self) -> list[Any]:
+        """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
+        pin = self.is_closed and not self._by_null_space
+        return [*self._bcs, pressure_pin(self)] if pin else self._bcs
+
+    @cached_property
+    def updates(self) -> tuple[Callable[[float], None], ...]:
+        """To be called with t_alpha at the start of every step by whoever steps the flow."""
+        return tuple(lambda _, refresh=refresh: refresh() for refresh in self._values)
+
+    @property
+    def rank_one(self) -> tuple[OutletPressure, ...]:
+        """Pressures of outlets with a resistance, whose tangent is dense, for whoever solves the flow."""
+        return tuple(self._outlets)
+
+    @property
+    def before(self) -> tuple[Callable[[], None], ...]:
+        """To be called before every assembly of the residual by whoever solves the flow."""
+        solid = () if self._solid is None else (self._solid.move_mesh,)
+        return (*(outlet.update for outlet in self._outlets), *solid)
+
+    # -- systems ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def recipe(self) -> LinearSolver:
+        """Linear solver recipe."""
+        if self.options.solver is not None:
+            return self.options.solver
+        index_map = self.V.dofmap.index_map
+        size, surface = index_map.size_global * self.V.dofmap.index_map_bs, self._interior["scale_m"] is not None
+        dimension = None if surface else int(self.mesh.domain.geometry.dim)
+        kept = self.time is not None and self.options.keep is not None
+        rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
+        return automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
+
+    @property
+    def _by_null_space(self) -> bool:
+        chosen = self.options.pressure
+        if chosen == "null space" and self.recipe.is_direct:
+            raise ValueError(f"pressure = 'null space': an iterative solver is required, {self.recipe.name} is given")
+        return chosen == "null space" or (chosen == "automatic" and not self.recipe.is_direct)
+
+    @property
+    def pressure_dofs(self) -> IntArray | None:
+        """Where the pressure lies in the unknown, if its constant is left to the null space."""
+        if not (self.is_closed and self._by_null_space):
+            return None
+        return compat.component_space(self.V, self.mesh.domain.geometry.dim)[1]
+
+    @cached_property
+    def system(self) -> FiniteElementSystem:
+        """Compiled system."""
+        return FiniteElementSystem(
+            self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe, constant=self.pressure_dofs,
+            rank_one=self.rank_one, before=self.before, resolution=getattr(self._solid, "resolution", None),
+        )  # fmt: skip
+
+    def compile(self) -> None:
+        """Compile the forms now instead of at the first solve."""
+        _ = self.system
+
+    @property
+    def unknowns(self) -> int:
+        """Global number of unknowns."""
+        return int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
+
+    # -- states -------------------------------------------------------------------------------------------------------
+
+    def start(self, velocity: Data = None, pressure: Any = None, *, projected: bool = False) -> None:
+        """Set the state at the present time.
+
+        Args:
+            velocity: UFL vector, numbers, or a callable of coordinates and time; None: at rest.
+            pressure: UFL scalar, number or callable; None: zero.
+            projected: whether to project in L2 instead of interpolating at the nodes.
+
+        Raises:
+            ValueError: the velocity is not a finite vector of shape (d,), or the pressure not finite.
+        """
+        domain, d = self.mesh.domain, self.mesh.domain.geometry.dim
+        x = ufl.SpatialCoordinate(domain)
+        if self.moving is not None:
+            x = x + self.moving.time.x_old
+        t = compat.Constant(domain, 0.0 if self.time is None else self.time.time)
+        u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
+        components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
+        checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
+        state = ufl.as_vector([*components, 0.0 if p is None else p])
+        if projected:
+            project(self.w, state, 2 * self.degree + 2)
+        else:
+            compat.interpolate(self.w, state)
+        if self.time is not None:
+            self.time.x_old.x.array[:] = self.w.x.array
+            self.time.xdot_old.x.array[:] = 0.0
+
+    def consistent_start(self) -> None:
+        """Compute the rate and the pressure that belong to the present velocity, for second order in time.
+
+        Raises:
+            FlowError: they could not be computed.
+        """
+        consistent_start(self)
+
+    # -- solving ------------------------------------------------------------------------------------------------------
+
+    def take_step(self, measure: Callable[[], Any] | None = None) -> FlowReport:
+        """Advance by one time step.
+
+        Args:
+            measure: called with the new state before the clock moves; what it returns is in the report.
+
+        Returns:
+            The report.
+
+        Raises:
+            FlowError: the step failed; the state is that before it.
+        """
+        time = self.time
+        if time is None:
+            raise ValueError("dt = None: a steady flow has no steps")
+        check_clock(time, self.moving)
+        t, bring_back = float(time.t.value), self.system.remember_tangent()
+        try:
+            time.predict()
+            if self.moving is not None:
+                self.moving.time.predict()
+                self.moving.move()
+                self.moving.check()
+            for update in self.updates:
+                update(float(time.t_alpha.value))
+            self.system.apply_boundary_values()
+            done = self._newton(keep=self.options.keep)
+            if self._solid is not None and self.moving is not None:
+                self.moving.check()
+            measured = None if measure is None else measure()
+        except Exception as error:
+            bring_back()
+            for clock in (time, *(() if self.moving is None else (self.moving.time,))):
+                clock.restore()
+            if not isinstance(error, SolveError):
+                raise
+            raise FlowError(f"the step to t = {t:.6g} (dt = {time.step_size:.3g}) failed: {error}", t) from error
+        t_alpha, linear = float(time.t_alpha.value), sum(done.linear_iterations)
+        for integrator in (time,) if self.moving is None else (time, self.moving.time):
+            integrator.advance()
+        return FlowReport(time.time, done.norms, linear, done.tangents, measured, t_alpha)
+
+    def solve(self) -> FlowReport:
+        """Solve for the steady flow, from the present state.
+
+        Newton's method with a line search comes first. Where it fails the viscosity is raised until it succeeds, and
+        comes down again with each solution as the next start, in steps that are halved where it fails again.
+
+        Returns:
+            The report.
+
+        Raises:
+            FlowError: no steady flow was found; the state is that before.
+        """
+        if self.time is not None:
+            raise ValueError(f"dt = {self.time.step_size!r}: a steady flow has none")
+        before, mu = self.w.x.array.copy(), float(self.mu.value)
+        self.system.apply_boundary_values()
+        try:
+            return continued(lambda: self._newton(line_search=LineSearch(), stalled=STALLED), self.w, self.mu)
+        except SolveError as error:
+            self.w.x.array[:] = before
+            raise FlowError(
+                f"no steady flow at mu = {mu:.3g}: {error}; refine the mesh, start from a similar flow, or step"
+                " through time"
+            ) from error
+        finally:
+            self.mu.value = mu
+
+    def _newton(self, **options: Any) -> NewtonReport:
+        o, system = self.options, self.system
+        default = STEADY_RTOL if self.time is None else STEP_RTOL[self.recipe.is_direct]
+        options |= {"atol": system.rounding, "reference": system.reference_norm, "max_iterations": o.max_iterations}
+        return newton(system, rtol=default if o.rtol is None else o.rtol, **options)

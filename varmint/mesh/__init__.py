@@ -1,0 +1,5 @@
+"""Meshes whose cells and facets have names: made here, made by gmsh, or read from files."""
+
+from varmint.mesh.named import NamedMesh, box, grid, named
+
+__all__ = ["NamedMesh", "box", "grid", "named"]
