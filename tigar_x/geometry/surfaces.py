@@ -3,7 +3,8 @@
 Round surfaces are rational and over [0, 1]^2. Arcs are quadratic, of equal spans of up to 90 degrees. Where two spans
 meet the functions are only C0, so that a thin shell would fold there as on a hinge; constraints make it smooth
 (:func:`tigar_x.splines.constraints.smooth_lines`). A full circle is periodic: four such spans, or, from degree 4 on, a
-quartic whose functions are C1. `elements` counts equal parts of a direction; the ends of the spans are breakpoints besides.
+quartic whose functions are C1. `elements` counts equal parts of a direction; the ends of the spans are breakpoints
+besides.
 """
 
 from collections.abc import Sequence
