@@ -7,7 +7,8 @@ analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.c
 import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
 
 from coudalfish.coupler import CouDALFISh, advance
-from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.options import CouplingOptions, PenaltyRule
 from coudalfish.step.report import StepError, StepReport
 from coudalfish.surface.band import SurfaceBand

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import check_levels
-from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Step
 from coudalfish.step.levels import check_schemes
 from coudalfish.step.options import CouplingOptions, PenaltyRule

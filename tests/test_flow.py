@@ -12,7 +12,7 @@ from mpi4py import MPI
 from dolfinx import fem
 from flows import randomise, slope_error
 
-from coudalfish.sides.subproblems import FluidSubproblem
+from coudalfish.sides.fluid import FluidSubproblem
 from tigar_x import compat
 from tigar_x.fem.linear import SolveError, direct, gmres_ilu
 from tigar_x.fem.schemes import backward_euler, generalized_alpha

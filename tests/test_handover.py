@@ -32,8 +32,8 @@ def without_compilation(monkeypatch):
     def refuse(*_, **__):
         raise NoCompilationError
 
-    monkeypatch.setattr("coudalfish.sides.subproblems.FiniteElementSystem", refuse)
-    monkeypatch.setattr("coudalfish.sides.subproblems.SplineSystem", refuse)
+    monkeypatch.setattr("coudalfish.sides.fluid.FiniteElementSystem", refuse)
+    monkeypatch.setattr("coudalfish.sides.shell.SplineSystem", refuse)
 
 
 def square():

@@ -132,7 +132,7 @@ def check_needs(
 
     Args:
         timeInt: the flow's integrator; what does not know its needs, as that of a residual by hand, has none here.
-        bcs: see :class:`coudalfish.sides.subproblems.FluidSubproblem`, as the others.
+        bcs: see :class:`coudalfish.sides.fluid.FluidSubproblem`, as the others.
         updates: see there.
         before: see there.
         rank_one: see there.

@@ -1,6 +1,7 @@
 """Residuals below which a step has nothing left to solve for."""
 
-from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.surface.trace import TraceMatrix
 from tigar_x import ranks
 from tigar_x.compat import FloatArray

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.scales import directions, extent
-from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.report import StepReport
 from coudalfish.surface.exchange import VertexMeans
 from coudalfish.surface.slip import SHARE_OF_LOAD, WINDOW, SlipWindow, root_mean_square

@@ -9,7 +9,8 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from scipy.sparse.csgraph import connected_components
 
-from coudalfish.sides.subproblems import FluidSubproblem, ShellSubproblem
+from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.surface.exchange import VertexMeans, updated_multiplier
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix

@@ -1,0 +1,170 @@
+"""The shell as the coupling sees it: a residual on a spline that every rank holds whole."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from coudalfish.sides.handover import check_residual
+from coudalfish.surface.sheets import Normals, Sheets
+from shnapr.contact.self_contact import ContactForces, SelfContact
+from shnapr.contact.system import ContactSystem
+from tigar_x.compat import FloatArray
+from tigar_x.fem.linear import LinearSolver
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem
+
+ROUNDING = 1e-15
+"""Rounding error of a residual relative to the terms in it."""
+
+
+class ShellSubproblem:
+    """A shell on a spline that every rank holds whole.
+
+    Args:
+        spline_sh: the midsurface, on ``MPI.COMM_SELF``.
+        residual_sh: residual built from the expressions of ``timeInt_sh``.
+        timeInt_sh: integrator of the homogeneous displacement.
+        solver: linear solver recipe; None: direct.
+        tangent: UFL tangent; None: the derivative of the residual.
+        updates: called with t_alpha at the start of every step.
+        contact: contact of the shell, or of several in one spline, with itself, on ``NodalQuadrature.of(spline_sh)``;
+            None: there is none, and no object for it.
+
+    Attributes:
+        quadrature: the immersed points.
+        sheets: how they hang together.
+        normals: gives the normals at the intermediate level, shape (points, d).
+        contact: as given.
+
+    Raises:
+        ValueError: the spline is distributed, or the residual is not built from the integrator's expressions.
+    """
+
+    def __init__(
+        self,
+        spline_sh: ExtractedSpline,
+        residual_sh: ufl.Form,
+        timeInt_sh: TimeIntegrator,
+        *,
+        solver: LinearSolver | None = None,
+        tangent: ufl.Form | None = None,
+        updates: Sequence[Callable[[float], None]] = (),
+        contact: SelfContact | None = None,
+    ) -> None:
+        check_residual(residual_sh, timeInt_sh, spline_sh.mesh)
+        self.spline = spline_sh
+        self.timeInt = timeInt_sh
+        self.updates = tuple(updates)
+        self.contact = contact
+        self.quadrature = NodalQuadrature.of(spline_sh) if contact is None else contact.quadrature
+        y: fem.Function = timeInt_sh.x
+        jacobian = ufl.derivative(residual_sh, y) if tangent is None else tangent
+        self.system = (
+            SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y)
+            if contact is None
+            else ContactSystem(spline_sh, residual_sh, jacobian, contact, unknown=y, time=timeInt_sh, solver=solver)
+        )
+        self.sheets = Sheets.of(spline_sh)
+        self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)
+
+    def _physical(self, array: FloatArray) -> FloatArray:
+        return array.reshape(-1, self.spline.nsd) / self.quadrature.rational[:, None]
+
+    def positions(self) -> FloatArray:
+        """Points at the intermediate level, shape (points, d); unit: length."""
+        return self.quadrature.points + self._physical(self.timeInt.x_alpha_array())
+
+    def velocity(self) -> FloatArray:
+        """Velocity y'_alpha of the points, or that of the last state between steps, shape (points, d)."""
+        time = self.timeInt
+        return self._physical(time.xdot_alpha_array() if time.in_step else time.xdot_old.x.array)
+
+    def assemble_residual(self, forces: FloatArray) -> float:
+        """Assemble the residual with the coupling forces.
+
+        Args:
+            forces: fluid on shell at the points, shape (points, d).
+
+        Returns:
+            Euclidean norm of the extracted residual; unit: force.
+        """
+        return self.system.assemble_residual(-forces / self.quadrature.rational[:, None])
+
+    def momentum_scale(self) -> float:
+        """Size of the terms that balance in the shell: the last tangent times the motion in this step; unit: force."""
+        return self.system.product_norm(self.timeInt.x.x.array - self.timeInt.x_old.x.array)
+
+    def rounding(self) -> FloatArray:
+        """Rounding error of positions at the points, from the shell's own size, shape (points, d); unit: length."""
+        x = self.quadrature.points + self._physical(self.timeInt.x.x.array)
+        return ROUNDING * (x - x.mean(axis=0))
+
+    def force_of(self, displacement: FloatArray) -> float:
+        """Norm of the last tangent times a displacement of the points, shape (points, d); unit: force.
+
+        The signs alternate from point to point, as those of rounding may: a smooth displacement would meet no
+        resistance in a sheet that is straight.
+        """
+        signs = 1.0 - 2.0 * (np.arange(len(displacement)) % 2)
+        return self.system.product_norm((signs * self.quadrature.rational)[:, None] * np.abs(displacement))
+
+    def coupling_norm(self, forces: FloatArray) -> float:
+        """Norm of point forces on the spline's functions; unit: force."""
+        return float(np.linalg.norm(self.system.extract(forces / self.quadrature.rational[:, None])))
+
+    @property
+    def touching(self) -> ContactForces | None:
+        """Contact at the state of the last residual; None where no points interact."""
+        forces = self.system.forces if isinstance(self.system, ContactSystem) else None
+        return forces if forces is not None and forces.pairs else None
+
+    def closing_ratio(self) -> float:
+        """Largest approach in a step of two points that may interact in it, relative to the range of contact."""
+        if self.contact is None:
+            return 0.0
+        x, v, dt = self.positions(), self.velocity(), self.timeInt.step_size
+        if not (np.isfinite(x).all() and np.isfinite(v).all()):
+            return np.inf
+        return self.contact.closing_speed(x, v, dt) * dt / self.contact.kernel.r_max
+
+    def renew_contact(self) -> None:
+        """Bring the tangent's part of contact, and nothing else of it, to the present state."""
+        if isinstance(self.system, ContactSystem):
+            self.system.renew_contact()
+
+    def assemble_tangent(self, W: FloatArray, penalty: float, *, positive: bool = False) -> None:
+        """Assemble the tangent with the penalty's part, which is diagonal before extraction.
+
+        Args:
+            W: reference areas, zero at inactive points, shape (points,).
+            penalty: beta.
+            positive: whether to leave out what makes the tangent of contact indefinite.
+        """
+        if isinstance(self.system, ContactSystem):
+            self.system.positive = positive
+        diagonal = self.timeInt.xdot_factor * penalty * W / self.quadrature.rational**2
+        self.system.assemble_tangent(np.repeat(diagonal[:, None], self.spline.nsd, axis=1))
+
+    def solve(self) -> None:
+        """Solve for the increment and subtract it.
+
+        Raises:
+            SolveError: the linear solver failed.
+        """
+        self.system.subtract(self.system.solve())
+
+    def spacing(self, x: FloatArray) -> float:
+        """Largest distance between neighbouring points along the element edges of the deformed shell.
+
+        Args:
+            x: positions of the points, shape (points, d).
+
+        Returns:
+            Unit: length.
+        """
+        a, b = self.sheets.edges.T
+        return float(np.linalg.norm(x[a] - x[b], axis=1).max(initial=0.0))
