@@ -23,7 +23,7 @@ from tigar_x.fem.time_integration import TimeIntegrator
 
 
 class Needs(Protocol):
-    """What a flow needs of whoever steps it, such as ``varmint.flow.attachments.Needs``."""
+    """What a flow needs of whoever steps it, such as ``varmint.flow.state.Needs``."""
 
     @property
     def updates(self) -> Sequence[Callable[[float], None]]:

@@ -1,8 +1,7 @@
 """A flow as one object: mesh, fluid and conditions become residual, boundary values, solver and steps.
 
 What the scene does not have is not in its forms, see :mod:`varmint.forms.vms`; what is compiled is compiled at the
-first
-solve. The residual, its conditions and its integrator can be given to a coupler instead of being solved here.
+first solve. The residual, its conditions and its integrator can be given to a coupler instead of being solved here.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,16 +9,15 @@ from functools import cached_property
 from typing import Any
 
 import ufl
-from dolfinx import fem
 
-from tigar_x import checks, compat
+from tigar_x import compat
 from tigar_x.compat import IntArray
 from tigar_x.fem.line_search import LineSearch
 from tigar_x.fem.linear import LinearSolver, SolveError, automatic
 from tigar_x.fem.schemes import Scheme, generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
-from varmint.conditions import Condition, Data, Fields, Resistance, given
-from varmint.flow.attachments import FlowTime, Needs, OutletPressure, SolidInFlow, pressure_pin
+from varmint.conditions import Condition, Data
+from varmint.flow.attachments import OutletPressure, SolidInFlow
 from varmint.flow.checks import check_clock, check_cover, check_numbers
 from varmint.flow.options import (
     STALLED,
@@ -31,12 +29,13 @@ from varmint.flow.options import (
     FlowOptions,
     FlowReport,
 )
-from varmint.flow.start import consistent_start, project, varies
+from varmint.flow.pressure import by_null_space, pressure_pin
+from varmint.flow.start import consistent_start, set_state
+from varmint.flow.state import FlowState, Needs
 from varmint.flow.steady import continued
+from varmint.flow.terms import Interior, Term, boundary_terms, strong_values
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
-from varmint.forms.space import equal_order_space, split
-from varmint.forms.vms import frozen_tangent, interior_residual
 from varmint.mesh.named import NamedMesh
 
 __all__ = ["Flow", "FlowError", "FlowOptions", "FlowReport"]
@@ -71,6 +70,7 @@ class Flow:
         v: velocity at the level of the equations, UFL.
         p: pressure, UFL.
         terms: parts of the residual, each with the facet groups of its condition, "fluid" or "solid".
+        updates: to be called with t_alpha at the start of every step by whoever steps the flow.
         is_closed: whether no boundary is open and no solid compressible, so that a constant of the pressure remains.
 
     Raises:
@@ -94,77 +94,38 @@ class Flow:
         scale_c: Any = None,
         options: FlowOptions | None = None,
     ) -> None:
-        domain, self.options = mesh.domain, FlowOptions() if options is None else options
-        d = domain.geometry.dim
+        self.options = FlowOptions() if options is None else options
         scheme = generalized_alpha(0.5) if scheme is None else scheme
         check_numbers(rho, mu, dt, scheme, moving, solid)
         check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving
-        self.rho, self.mu = (
-            value if isinstance(value, fem.Constant) else compat.Constant(domain, float(value)) for value in (rho, mu)
+        state = FlowState.at_rest(
+            mesh, rho, mu, degree=degree, dt=dt, scheme=scheme, moving=moving, solid=solid, options=self.options
         )
-        self.V = equal_order_space(domain, degree)
-        self.w = fem.Function(self.V, name="w")
-        self.time: FlowTime | None = None
-        level, rate, t, t_alpha = self.w, None, compat.Constant(domain, 0.0), None
-        if dt is not None:
-            self.time = FlowTime(self.w, dt, scheme, algebraic=(d,))
-            level, rate, t, t_alpha = self.time.x_alpha, split(self.time.xdot_alpha)[0], self.time.t, self.time.t_alpha
-        (self.v, self.p), (w, q) = split(level), split(ufl.TestFunction(self.V))
-        motion = None if moving is None else moving.motion
-        extra = 0 if motion is None else 2 * (motion.degree - 1)
-        quadrature = 2 * degree + extra if self.options.quadrature_degree is None else self.options.quadrature_degree
-        self.fields = Fields(
-            mesh, self.v, self.p, w, q, self.rho, self.mu, t, t if t_alpha is None else t_alpha, motion,
-            None if moving is None else moving.end, self.options.invariant_metric, quadrature,
-        )  # fmt: skip
+        self._state, self.V, self.w, self.time, self.fields = state, state.V, state.w, state.time, state.fields
+        self.rho, self.mu, self.v, self.p = self.fields.rho, self.fields.mu, self.fields.v, self.fields.p
         force = None if f is None else self.fields.vector("f", f)
-        self._solid = SolidInFlow(solid, self, moving, force) if solid and isinstance(moving, ElasticMotion) else None
-        self._interior = {"v_t": rate, "f": force, "scale_m": scale_m, "scale_c": scale_c}
-        self._outlets: list[OutletPressure] = []
-        self.terms = self._terms()
-        self._values: list[Callable[[], None]] = []
-        self._bcs = [] if self._solid is None else [self._solid.condition]
-        self._prescribe()
+        self._solid = SolidInFlow(solid, state, moving, force) if solid and isinstance(moving, ElasticMotion) else None
+        self._interior = Interior(state, self.options, force, scale_m, scale_c)
+        self.terms: list[Term] = [(("fluid",), self._interior.residual(self.v))]
+        if self._solid is not None:
+            self.terms.append((("solid",), self._solid.residual))
+        boundary, self._outlets = boundary_terms(self.conditions, state)
+        self.terms += boundary
+        values, self.updates = strong_values(self.conditions, state)
+        self._bcs = values if self._solid is None else [self._solid.condition, *values]
         # a solid that can be compressed determines the pressure of a fluid that is enclosed with it
         self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
         if self.time is not None:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
             self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu)
 
-    # -- forms --------------------------------------------------------------------------------------------------------
-
-    def _terms(self) -> list[tuple[tuple[str, ...], ufl.Form]]:
-        terms: list[tuple[tuple[str, ...], ufl.Form]] = [(("fluid",), self.interior(self.v))]
-        if self._solid is not None:
-            terms.append((("solid",), self._solid.residual))
-        for condition in self.conditions:
-            if isinstance(condition, Resistance):
-                outlet = OutletPressure(condition, self)
-                self._outlets.append(outlet)
-                term: ufl.Form | None = condition.term_with(self.fields, outlet.pressure)
-            else:
-                term = condition.term(self.fields)
-            if term is not None:
-                terms.append((condition.groups, term))
-        return terms
-
-    def interior(self, v_tau: Any) -> ufl.Form:
-        """Residual in the fluid, with a velocity of its own in the stabilisation parameters."""
-        f, o = self.fields, self.options
-        dt: Any = None
-        if self.time is not None:
-            dt = self.time.dt if o.tau_dt is None else compat.Constant(self.mesh.domain, float(o.tau_dt))
-        return interior_residual(
-            f.v, f.p, f.w, f.q, self.mesh.domain, rho=self.rho, mu=self.mu, degree=self.degree, dt=dt, C_I=o.C_I,
-            C_t=o.C_t, motion=f.motion, invariant=o.invariant_metric, v_tau=v_tau,
-            dx=self.mesh.dx(*self.fluid_cells, degree=f.degree), **self._interior,
-        )  # fmt: skip
+    # -- equations ----------------------------------------------------------------------------------------------------
 
     @property
     def fluid_cells(self) -> tuple[str, ...]:
         """Cell groups of the fluid; none: all cells."""
-        return () if self._solid is None else self._solid.fluid
+        return self._state.fluid_cells
 
     @property
     def residual(self) -> ufl.Form:
@@ -176,34 +137,16 @@ class Flow:
         """Tangent where it is not the derivative of the residual."""
         if not self.options.frozen_tangent:
             return None
-        x_tau = fem.Function(self.V)
-        frozen = self.interior(ufl.replace(self.v, {self.w: x_tau}))
-        rest = sum((form for _, form in self.terms[2:]), self.terms[1][1]) if len(self.terms) > 1 else None
-        tangent = frozen_tangent(frozen, self.w, x_tau)
-        return tangent if rest is None else tangent + ufl.derivative(rest, self.w)
-
-    # -- boundary values ----------------------------------------------------------------------------------------------
-
-    def _prescribe(self) -> None:
-        for condition in self.conditions:
-            for item in condition.strong(self.fields):
-                values, bc = compat.prescribed_component(self.V, item.component, item.facets)
-                interpolate = compat.Interpolation(values, ufl.as_ufl(item.value))
-                interpolate()
-                if varies(item.value):
-                    self._values.append(interpolate)
-                self._bcs.append(bc)
+        tangent = self._interior.frozen_tangent()
+        rest = [form for _, form in self.terms[1:]]
+        return tangent + ufl.derivative(sum(rest[1:], rest[0]), self.w) if rest else tangent
 
     @property
     def bcs(self) -> list[Any]:
         """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
-        pin = self.is_closed and not self._by_null_space
-        return [*self._bcs, pressure_pin(self)] if pin else self._bcs
-
-    @cached_property
-    def updates(self) -> tuple[Callable[[float], None], ...]:
-        """To be called with t_alpha at the start of every step by whoever steps the flow."""
-        return tuple(lambda _, refresh=refresh: refresh() for refresh in self._values)
+        if not self.is_closed or by_null_space(self.options.pressure, self.recipe):
+            return self._bcs
+        return [*self._bcs, pressure_pin(self.V, self.mesh, self.fluid_cells, self.options.pin_at)]
 
     @property
     def rank_one(self) -> tuple[OutletPressure, ...]:
@@ -224,23 +167,16 @@ class Flow:
         if self.options.solver is not None:
             return self.options.solver
         index_map = self.V.dofmap.index_map
-        size, surface = index_map.size_global * self.V.dofmap.index_map_bs, self._interior["scale_m"] is not None
+        size, surface = index_map.size_global * self.V.dofmap.index_map_bs, self._interior.scale_m is not None
         dimension = None if surface else int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
         return automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
 
     @property
-    def _by_null_space(self) -> bool:
-        chosen = self.options.pressure
-        if chosen == "null space" and self.recipe.is_direct:
-            raise ValueError(f"pressure = 'null space': an iterative solver is required, {self.recipe.name} is given")
-        return chosen == "null space" or (chosen == "automatic" and not self.recipe.is_direct)
-
-    @property
     def pressure_dofs(self) -> IntArray | None:
         """Where the pressure lies in the unknown, if its constant is left to the null space."""
-        if not (self.is_closed and self._by_null_space):
+        if not (self.is_closed and by_null_space(self.options.pressure, self.recipe)):
             return None
         return compat.component_space(self.V, self.mesh.domain.geometry.dim)[1]
 
@@ -274,30 +210,23 @@ class Flow:
         Raises:
             ValueError: the velocity is not a finite vector of shape (d,), or the pressure not finite.
         """
-        domain, d = self.mesh.domain, self.mesh.domain.geometry.dim
-        x = ufl.SpatialCoordinate(domain)
-        if self.moving is not None:
-            x = x + self.moving.time.x_old
-        t = compat.Constant(domain, 0.0 if self.time is None else self.time.time)
-        u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
-        components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
-        checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
-        state = ufl.as_vector([*components, 0.0 if p is None else p])
-        if projected:
-            project(self.w, state, 2 * self.degree + 2)
-        else:
-            compat.interpolate(self.w, state)
-        if self.time is not None:
-            self.time.x_old.x.array[:] = self.w.x.array
-            self.time.xdot_old.x.array[:] = 0.0
+        set_state(self._state, velocity, pressure, projected=projected)
 
     def consistent_start(self) -> None:
         """Compute the rate and the pressure that belong to the present velocity, for second order in time.
 
         Raises:
             FlowError: they could not be computed.
+            ValueError: the flow is steady.
         """
-        consistent_start(self)
+        if self.time is None:
+            raise ValueError("dt = None: only an unsteady flow has initial rates")
+        for outlet in self._outlets:
+            outlet.update()
+        consistent_start(
+            self._state, self.time, self.residual, self.options.tau_dt, self.updates, self.bcs,
+            solver=self.recipe, constant=self.pressure_dofs,
+        )  # fmt: skip
 
     # -- solving ------------------------------------------------------------------------------------------------------
 

@@ -1,32 +1,112 @@
-"""How a flow starts: projected states, and rates and pressures that belong to a velocity."""
+"""How a flow starts: states given or projected, and rates and pressures that belong to a velocity."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from ufl.algorithms import extract_coefficients
-from ufl.algorithms.analysis import extract_constants
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.solve import FiniteElementSystem, newton
 from tigar_x.fem.time_integration import TimeIntegrator
+from varmint.conditions import Data, given
 from varmint.flow.options import FlowError
+from varmint.flow.state import FlowState
 from varmint.forms.ale import divergence, per_volume
 from varmint.forms.space import split
 
-if TYPE_CHECKING:
-    from varmint.flow.flow import Flow
+
+def set_state(state: FlowState, velocity: Data, pressure: Any, *, projected: bool) -> None:
+    """Set the state at the present time; arguments as in :meth:`varmint.flow.flow.Flow.start`."""
+    domain, d = state.mesh.domain, state.mesh.domain.geometry.dim
+    x = ufl.SpatialCoordinate(domain)
+    if state.moving is not None:
+        x = x + state.moving.time.x_old
+    t = compat.Constant(domain, 0.0 if state.time is None else state.time.time)
+    u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
+    components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
+    checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
+    values = ufl.as_vector([*components, 0.0 if p is None else p])
+    if projected:
+        _project(state.w, values, 2 * state.degree + 2)
+    else:
+        compat.interpolate(state.w, values)
+    if state.time is not None:
+        state.time.x_old.x.array[:] = state.w.x.array
+        state.time.xdot_old.x.array[:] = 0.0
 
 
-def varies(value: Any) -> bool:
-    """Whether there is anything in an expression that may change from step to step."""
-    expression = ufl.as_ufl(value)
-    return bool(extract_coefficients(expression) or extract_constants(expression))
+def consistent_start(
+    state: FlowState,
+    time: TimeIntegrator,
+    residual: ufl.Form,
+    tau_dt: float | None,
+    updates: Sequence[Callable[[float], None]],
+    bcs: Sequence[Any],
+    **solver: Any,
+) -> None:
+    """Compute the rate and the pressure that belong to a flow's present velocity.
+
+    The rate balances momentum and is solenoidal; the residual of continuity, which the velocity alone would have to
+    balance, contributes its stabilisation.
+
+    Args:
+        state: of the flow, whose rate and pressure are overwritten.
+        time: its integrator.
+        residual: its residual.
+        tau_dt: time step in tau_M; None: that of the integrator. Unit: time.
+        updates: to be called with the time where strong values change.
+        bcs: strong conditions.
+        solver: see :class:`tigar_x.fem.solve.FiniteElementSystem`.
+
+    Raises:
+        FlowError: they could not be computed.
+    """
+    f, period = state.fields, time.dt if tau_dt is None else tau_dt
+    change = divergence(period * split(time.xdot_alpha)[0] - f.v, f.motion)
+    others = () if state.moving is None else (state.moving.time,)
+    form, unknown = time.initial_form(residual + per_volume(f.q * change, f.motion) * state.dx, *others)
+    _prescribe_rates(state, time, updates, bcs, unknown)
+    system = FiniteElementSystem(form, unknown, bcs, **solver)
+    try:
+        newton(system, rtol=1e-10, max_iterations=10)
+    except SolveError as error:
+        raise FlowError(f"no consistent start: {error}", time.time) from error
+    time.start(unknown)
+    state.w.x.array[:] = time.x_old.x.array
 
 
-def project(function: fem.Function, expression: Any, degree: int) -> None:
+def _prescribe_rates(
+    state: FlowState,
+    time: TimeIntegrator,
+    updates: Sequence[Callable[[float], None]],
+    bcs: Sequence[Any],
+    unknown: fem.Function,
+) -> None:
+    """Rates of the strong values by central differences; a mesh has its acceleration."""
+    dofs = compat.constrained_dofs(bcs)
+    sides, end = [], float(time.t.value)
+    delta = 1e-3 * time.step_size
+    mesh = None if state.moving is None else state.moving.time
+    for sign in (-1.0, 1.0):
+        time.t.value = time.time + sign * delta
+        if mesh is not None:
+            velocity = mesh.xdot_old.x.array + sign * delta * mesh.xddot_old.x.array
+            mesh.x.x.array[:] = mesh.x_from_rate_array(velocity, np.arange(len(velocity), dtype=np.int32))
+        for update in updates:
+            update(time.time)
+        side = fem.Function(state.V)
+        compat.apply_values(side, bcs)
+        sides.append(side.x.array.copy())
+    time.t.value = end
+    if mesh is not None:
+        mesh.restore()
+    unknown.x.array[dofs] = ((sides[1] - sides[0]) / (2.0 * delta))[dofs]
+
+
+def _project(function: fem.Function, expression: Any, degree: int) -> None:
     """Project in L2 (collective).
 
     Args:
@@ -38,63 +118,3 @@ def project(function: fem.Function, expression: Any, degree: int) -> None:
     residual = ufl.inner(function - expression, ufl.TestFunction(function.function_space)) * dx
     function.x.array[:] = 0.0  # else a start that is the projection already leaves nothing but rounding to reduce
     newton(FiniteElementSystem(residual, function), rtol=1e-10)
-
-
-def consistent_start(flow: "Flow") -> None:
-    """Compute the rate and the pressure that belong to a flow's present velocity.
-
-    The rate balances momentum and is solenoidal; the residual of continuity, which the velocity alone would have to
-    balance, contributes its stabilisation.
-
-    Args:
-        flow: the flow, whose rate and pressure are overwritten.
-
-    Raises:
-        FlowError: they could not be computed.
-        ValueError: the flow is steady.
-    """
-    time = flow.time
-    if time is None:
-        raise ValueError("dt = None: only an unsteady flow has initial rates")
-    others = () if flow.moving is None else (flow.moving.time,)
-    for outlet in flow.rank_one:
-        outlet.update()
-    form, unknown = time.initial_form(_differentiated(flow, time), *others)
-    _prescribe_rates(flow, time, unknown)
-    system = FiniteElementSystem(form, unknown, flow.bcs, solver=flow.recipe, constant=flow.pressure_dofs)
-    try:
-        newton(system, rtol=1e-10, max_iterations=10)
-    except SolveError as error:
-        raise FlowError(f"no consistent start: {error}", time.time) from error
-    time.start(unknown)
-    flow.w.x.array[:] = time.x_old.x.array
-
-
-def _differentiated(flow: "Flow", time: TimeIntegrator) -> ufl.Form:
-    """The residual with the rate's divergence in place of the velocity's."""
-    f, period = flow.fields, time.dt if flow.options.tau_dt is None else flow.options.tau_dt
-    rate = split(time.xdot_alpha)[0]
-    change = divergence(period * rate - f.v, f.motion)
-    return flow.residual + per_volume(f.q * change, f.motion) * flow.mesh.dx(*flow.fluid_cells, degree=f.degree)
-
-
-def _prescribe_rates(flow: "Flow", time: TimeIntegrator, unknown: fem.Function) -> None:
-    """Rates of the strong values by central differences; a mesh has its acceleration."""
-    dofs = compat.constrained_dofs(flow.bcs)
-    sides, end = [], float(time.t.value)
-    delta = 1e-3 * time.step_size
-    mesh = None if flow.moving is None else flow.moving.time
-    for sign in (-1.0, 1.0):
-        time.t.value = time.time + sign * delta
-        if mesh is not None:
-            velocity = mesh.xdot_old.x.array + sign * delta * mesh.xddot_old.x.array
-            mesh.x.x.array[:] = mesh.x_from_rate_array(velocity, np.arange(len(velocity), dtype=np.int32))
-        for update in flow.updates:
-            update(time.time)
-        side = fem.Function(flow.V)
-        compat.apply_values(side, flow.bcs)
-        sides.append(side.x.array.copy())
-    time.t.value = end
-    if mesh is not None:
-        mesh.restore()
-    unknown.x.array[dofs] = ((sides[1] - sides[0]) / (2.0 * delta))[dofs]

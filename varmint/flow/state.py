@@ -1,0 +1,129 @@
+"""What a flow is made of before it has terms: its unknown, its clock, and the fields that terms are built of."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from dolfinx import fem
+
+from tigar_x import compat
+from tigar_x.fem.linear import LinearSolver
+from tigar_x.fem.low_rank import RankOne
+from tigar_x.fem.schemes import Scheme
+from tigar_x.fem.time_integration import TimeIntegrator
+from varmint.conditions import Fields
+from varmint.flow.options import FlowOptions
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
+from varmint.forms.solids import Solid
+from varmint.forms.space import equal_order_space, split
+from varmint.mesh.named import NamedMesh
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a flow needs of whoever steps it, beside its residual.
+
+    Attributes:
+        updates: see :class:`varmint.flow.flow.Flow`.
+        before: see there.
+        rank_one: see there.
+        bcs: strong conditions without the pin of the pressure.
+        moving: motion of the mesh; None: it is fixed.
+        solver: linear solver that was chosen for it; None: none was.
+        is_closed: whether a constant of its pressure remains.
+        rho: density.
+        mu: viscosity.
+    """
+
+    updates: tuple[Callable[[float], None], ...]
+    before: tuple[Callable[[], None], ...]
+    rank_one: tuple[RankOne, ...]
+    bcs: tuple[Any, ...]
+    moving: PrescribedMotion | ElasticMotion | None
+    solver: LinearSolver | None
+    is_closed: bool
+    rho: fem.Constant
+    mu: fem.Constant
+
+
+class FlowTime(TimeIntegrator):
+    """Integrator of a flow, which tells whoever steps the flow what it needs.
+
+    Attributes:
+        needs: see there.
+    """
+
+    needs: Needs
+
+
+@dataclass(frozen=True, eq=False)
+class FlowState:
+    """Velocity and pressure of a flow and all that its terms are built of.
+
+    Attributes:
+        degree: polynomial degree k of velocity and pressure.
+        V: space of velocity and pressure.
+        w: velocity and pressure at the end of the step.
+        time: integrator; None: steady flow.
+        rate: time derivative of the velocity at the level of the equations, UFL; None: steady flow.
+        fields: what conditions see, the mesh among it.
+        moving: motion of the mesh; None: it is fixed.
+        fluid_cells: cell groups of the fluid; none: all cells.
+    """
+
+    degree: int
+    V: fem.FunctionSpace
+    w: fem.Function
+    time: FlowTime | None
+    rate: Any
+    fields: Fields
+    moving: PrescribedMotion | ElasticMotion | None
+    fluid_cells: tuple[str, ...]
+
+    @property
+    def mesh(self) -> NamedMesh:
+        """Mesh with named groups."""
+        return self.fields.mesh
+
+    @property
+    def dx(self) -> ufl.Measure:
+        """Measure of the fluid."""
+        return self.mesh.dx(*self.fluid_cells, degree=self.fields.degree)
+
+    @classmethod
+    def at_rest(
+        cls,
+        mesh: NamedMesh,
+        rho: Any,
+        mu: Any,
+        *,
+        degree: int,
+        dt: float | None,
+        scheme: Scheme,
+        moving: PrescribedMotion | ElasticMotion | None,
+        solid: Solid | None,
+        options: FlowOptions,
+    ) -> "FlowState":
+        """State of a flow at rest at time zero; arguments as in :class:`varmint.flow.flow.Flow`."""
+        domain = mesh.domain
+        density, viscosity = (
+            value if isinstance(value, fem.Constant) else compat.Constant(domain, float(value)) for value in (rho, mu)
+        )
+        V = equal_order_space(domain, degree)
+        w = fem.Function(V, name="w")
+        time = None if dt is None else FlowTime(w, dt, scheme, algebraic=(domain.geometry.dim,))
+        if time is None:
+            level, rate, t = w, None, compat.Constant(domain, 0.0)
+        else:
+            level, rate, t = time.x_alpha, split(time.xdot_alpha)[0], time.t
+        motion = None if moving is None else moving.motion
+        extra = 0 if motion is None else 2 * (motion.degree - 1)
+        quadrature = 2 * degree + extra if options.quadrature_degree is None else options.quadrature_degree
+        t_alpha, end = t if time is None else time.t_alpha, None if moving is None else moving.end
+        fields = Fields(
+            mesh, *split(level), *split(ufl.TestFunction(V)), density, viscosity, t, t_alpha, motion, end,
+            options.invariant_metric, quadrature,
+        )  # fmt: skip
+        fluid = () if solid is None else tuple(name for name in mesh.cell_names if name not in solid.groups)
+        return cls(degree, V, w, time, rate, fields, moving, fluid)
