@@ -222,3 +222,26 @@ class SplineFunctions:
         merged = sp.csr_matrix((raw.data, self.numbering[raw.indices], raw.indptr), shape=(len(x), self.n))
         merged.sum_duplicates()
         return merged
+
+
+def within_patch(functions: Any, patch: int, xi: FloatArray) -> FloatArray:
+    """Points of the parametric plane from parameters that lie within a patch.
+
+    Args:
+        functions: with ``boxes`` and ``to_plane``.
+        patch: which patch.
+        xi: shape (m, dimension).
+
+    Returns:
+        Points, shape (m, dimension).
+
+    Raises:
+        ValueError: a parameter lies outside of the patch.
+    """
+    x = np.asarray(functions.to_plane(patch, xi))
+    low, high = functions.boxes[patch]
+    outside = ((x < low - 1e-12 * (high - low)) | (x > high + 1e-12 * (high - low))).any(axis=1)
+    if outside.any():
+        i = int(outside.argmax())
+        raise ValueError(f"xi[{i}] = {xi[i]}: parameters within patch {patch} are required")
+    return x

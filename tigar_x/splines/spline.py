@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.geometry.functions import Cells
+from tigar_x.geometry.functions import Cells, within_patch
 from tigar_x.geometry.locate import closest_points
 from tigar_x.geometry.multipatch import MultiPatch, as_multipatch
 from tigar_x.geometry.patch import ControlNet, Patch
@@ -198,13 +198,7 @@ class ExtractedSpline:
         """
         functions = self.geometry.functions
         checks.choice("patch", patch, tuple(range(len(functions.boxes))))
-        x = functions.to_plane(patch, checks.array("xi", xi, (None, self.dim)))
-        low, high = functions.boxes[patch]
-        outside = (x < low - 1e-12 * (high - low)) | (x > high + 1e-12 * (high - low))
-        if outside.any():
-            i = int(outside.any(axis=1).argmax())
-            raise ValueError(f"xi[{i}] = {np.asarray(xi)[i]}: parameters within patch {patch} are required")
-        N = functions.evaluate(x)
+        N = functions.evaluate(within_patch(functions, patch, checks.array("xi", xi, (None, self.dim))))
         size = u.function_space.dofmap.index_map_bs
         return np.asarray((N @ self.free(size).coefficients(u)) / (N @ self.geometry.weights)[:, None])
 
