@@ -15,7 +15,7 @@ import numpy as np
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import check_levels
 from coudalfish.sides.shell import ShellSubproblem
-from coudalfish.step.attempt import Step
+from coudalfish.step.attempt import Outcome, Start, Step
 from coudalfish.step.levels import check_schemes
 from coudalfish.step.options import CouplingOptions, PenaltyRule
 from coudalfish.step.report import RejectedStepError, StepError, StepReport
@@ -77,7 +77,6 @@ class CouDALFISh:
         self.locator = PointLocator(fluid.mesh)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(fluid, shell)
-        self._warned: set[str] = set()
 
     def _check(self) -> None:
         d, nsd = self.fluid.mesh.geometry.dim, self.shell.spline.nsd
@@ -136,7 +135,8 @@ class CouDALFISh:
         self._share()
         restore = self._save()
         try:
-            report = self._attempt(restore)
+            outcome = self._attempt(restore)
+            self.lam, self.floors, report = outcome.lam, outcome.floors, outcome.report
             if measure is not None:
                 report = replace(report, measured=measure())
         except BaseException:
@@ -151,9 +151,19 @@ class CouDALFISh:
         shell = (function.x.array for function in self.timeInt_sh.state.values())
         ranks.share(self.fluid.comm, *shell, self.lam)
 
-    def _attempt(self, restore: Callable[[], None]) -> StepReport:
+    def step(self, *, cautious: bool = False) -> Step:
+        """An attempt at the next step, which has not begun.
+
+        Args:
+            cautious: see :class:`coudalfish.step.attempt.Step`.
+        """
+        start = Start(self.lam, self.floors, self.penalty)
+        sides, tools = (self.fluid, self.shell), (self.locator, self.watch)
+        return Step(*sides, self.options, start, *tools, cautious=cautious)
+
+    def _attempt(self, restore: Callable[[], None]) -> Outcome:
         """Run the step, and once more with caution when it does not converge; the first failure gives the diagnosis."""
-        first = Step(self)
+        first = self.step()
         try:
             return first.run()
         except (RejectedStepError, SolveError) as error:
@@ -163,7 +173,7 @@ class CouDALFISh:
         restore()
         log.log(logging.WARNING if self.fluid.comm.rank == 0 else logging.DEBUG, "%s; attempting it again", failure)
         try:
-            return Step(self, cautious=True).run()
+            return self.step(cautious=True).run()
         except (RejectedStepError, SolveError) as error:
             raise failure from error
 
@@ -183,13 +193,6 @@ class CouDALFISh:
                 integrator.in_step = False
 
         return restore
-
-    def warn_once(self, key: str, message: str, *numbers: Any) -> None:
-        """Log a warning on rank 0 the first time it applies."""
-        if key not in self._warned:
-            self._warned.add(key)
-            if self.fluid.comm.rank == 0:
-                log.warning(message, *numbers)
 
 
 def advance(
@@ -221,7 +224,7 @@ def advance(
                 if dt / 2 < 0.999 * smallest:
                     raise
                 dt /= 2
-                fsi.warn_once("cut", "%s; going on with dt = %g", error, dt)
+                fsi.watch.warn_once("cut", "%s; going on with dt = %g", error, dt)
     finally:
         fsi.step_size = interval
     return reports

@@ -8,7 +8,6 @@ from dolfinx import fem
 from scenes import sheet_in_flow
 
 from coudalfish import CouplingOptions, FluidSubproblem
-from coudalfish.step.attempt import Step
 from coudalfish.surface import exchange
 from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import compat
@@ -146,7 +145,7 @@ def test_residuals_go_with_the_unit_of_force():
     small.array = s.fluid._is_velocity + 1e-11 * (1.0 - s.fluid._is_velocity)
     ratio = s.fluid.norm(small, 1e11) / s.fluid.norm(small, 0.0)
     assert ratio == pytest.approx(np.sqrt(1.5), rel=1e-12)  # one continuity row beside two of momentum
-    step = Step(s.fsi)
+    step = s.fsi.step()
     step._predict()
     step._place()
     s.w.x.array[:] = np.sin(np.arange(len(s.w.x.array)))  # no solenoidal flow

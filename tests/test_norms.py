@@ -12,7 +12,6 @@ from scenes import sheet_in_flow
 from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState
 from coudalfish.sides.scales import directions, median_size
-from coudalfish.step.attempt import Step
 from coudalfish.step.floors import ROUNDED
 from coudalfish.surface.slip import SHARE_OF_LOAD
 from tigar_x.fem.linear import gmres_ilu
@@ -74,7 +73,7 @@ def test_floors_are_a_share_of_the_coupling_forces_and_what_rounding_of_position
     """Before the first tangent there is nothing else; the penalty holds against the velocity of such an error."""
     s = sheet_in_flow((0.3, 0.2), sheet_velocity=(0.5, -0.4), options=CouplingOptions(block_atol=atol))
     s.fsi.lam[:] = np.linspace(-2.0, 1.0, len(s.fsi.lam))
-    step, shell = Step(s.fsi), s.shell
+    step, shell = s.fsi.step(), s.shell
     step._predict()
     step._place()
     step._evaluate()
@@ -104,7 +103,7 @@ def test_figures_that_warnings_rest_on_by_numbers(caplog):
     rho, mu, dt, h, speed = 2.0, 0.1, 0.05, 1.0 / 6.0, 1.5
     fsi = sheet_in_flow((0.0, 0.0), rho=rho, mu=mu, dt=dt, options=CouplingOptions(penalty=7.0)).fsi
     fsi.lam[:] = np.linspace(-3.0, 1.0, len(fsi.lam))
-    step = Step(fsi)
+    step = fsi.step()
     step.spacing, step.inactive = 0.05, 4
     figures = {
         name.partition(" (")[0].split("/")[0]: figure.value for name, figure in fsi.watch._figures(step, speed).items()
@@ -130,10 +129,10 @@ def test_slip_is_seen_beside_the_speed_of_the_flow_of_the_shell_or_that_a_load_w
     speed, moved, lam, monkeypatch
 ):
     fsi = sheet_in_flow((0.0, 0.0), dt=0.05).fsi
-    step, found = Step(fsi), []
+    step, found = fsi.step(), []
     step._predict()
     step._place()
-    fsi.lam[:] = lam
+    step.lam = np.full_like(fsi.lam, lam)
     step.u, step.y_dot = np.zeros_like(step.n), np.tile([0.0, moved], (len(step.n), 1))
     monkeypatch.setattr(fsi.watch._slip, "add", lambda slip, n, W, scale: found.append(scale))
     fsi.watch._warn_of_slip(step, speed)
@@ -161,7 +160,7 @@ def test_the_spacing_along_directions_in_which_nothing_flows_does_not_count():
     np.testing.assert_array_equal(directions(across[1:], s.fluid.velocity_dofs, COMM), [1.0, 1.0])
     s.fsi.watch._directions = np.array([1.0, 0.0])
     s.fsi.takeStep()
-    step, x = Step(s.fsi), s.shell.quadrature.points
+    step, x = s.fsi.step(), s.shell.quadrature.points
     step._predict()
     step._place()
     assert step.spacing == pytest.approx(np.diff(np.sort(x[:, 0])).max(), rel=1e-3)
@@ -171,7 +170,7 @@ def test_a_cautious_attempt_takes_half_of_the_increments_of_the_shell():
     moved = []
     for cautious in (False, True):
         s = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, -0.4), traction=0.5)
-        step = Step(s.fsi, cautious=cautious)
+        step = s.fsi.step(cautious=cautious)
         step._predict()
         step._place()
         step._evaluate()

@@ -4,54 +4,98 @@ The steps of Kamensky, doi:10.1016/j.camwa.2020.01.023, with convergence tested 
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
+from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import MeshMotion, displacement_of_cells
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.acceleration import Anderson
 from coudalfish.step.acceptance import Acceptance
 from coudalfish.step.floors import residual_floors
+from coudalfish.step.options import CouplingOptions
 from coudalfish.step.report import ContactReport, RejectedStepError, StepError, StepReport
+from coudalfish.step.watch import Watch
 from coudalfish.surface import exchange
 from coudalfish.surface.monitors import Monitors, measure
-from coudalfish.surface.multiplier import Multiplier
-from coudalfish.surface.trace import trace_matrix
+from coudalfish.surface.multiplier import Multiplier, held_points
+from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
-if TYPE_CHECKING:
-    from coudalfish.coupler import CouDALFISh
-
 UNDER_RELAXATION = 0.5
 """Share of the shell's increments that a cautious attempt takes."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a step starts from.
+
+    Attributes:
+        lam: multiplier, shape (points,); unit: force/area.
+        floors: residuals (fluid, shell) below which the step before had nothing left to solve for; None: there was
+            none; unit: force.
+        penalty: beta; unit: force time/length^3.
+    """
+
+    lam: FloatArray
+    floors: tuple[float, float] | None
+    penalty: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step gives beside the fields of its sides.
+
+    Attributes:
+        report: what it did.
+        lam: multiplier of the next step, shape (points,); unit: force/area.
+        floors: as those of :class:`Start`.
+    """
+
+    report: StepReport
+    lam: FloatArray
+    floors: tuple[float, float] | None
 
 
 class Step:
     """The data that stay fixed during a step, and the iteration.
 
     Args:
-        coupler: what is coupled; its multiplier changes only when the attempt succeeds.
+        fluid: the flow.
+        shell: the immersed structure.
+        options: how they are coupled.
+        start: what the step starts from.
+        locator: finds the points in the fluid's mesh.
+        watch: what looks for numbers out of their limits.
         cautious: under-relax the shell, accelerate from the start and assemble tangents in every pass.
 
     Attributes:
         block: where the attempt is, "mesh", "fluid", "shell" or "coupling".
+        lam: multiplier that the step starts from, at its end that of the next one, shape (points,).
     """
 
-    def __init__(self, coupler: "CouDALFISh", *, cautious: bool = False) -> None:
-        self.c = coupler
-        self.comm = coupler.fluid.comm
-        self.fluid, self.shell, self.options = coupler.fluid, coupler.shell, coupler.options
-        self.cautious = cautious
-        if cautious:
-            self.options = replace(self.options, tangent_update="pass", accelerate_after=0)
+    def __init__(
+        self,
+        fluid: FluidSubproblem,
+        shell: ShellSubproblem,
+        options: CouplingOptions,
+        start: Start,
+        locator: PointLocator,
+        watch: Watch,
+        *,
+        cautious: bool = False,
+    ) -> None:
+        self.fluid, self.shell, self.comm = fluid, shell, fluid.comm
+        self.options = replace(options, tangent_update="pass", accelerate_after=0) if cautious else options
+        self.locator, self.watch, self.cautious = locator, watch, cautious
+        self.lam, self.floors, self.beta = start.lam, start.floors, start.penalty
         self.anderson = Anderson(max(self.options.acceleration, 1))
-        self.beta = coupler.penalty
-        self.dt = coupler.timeInt_f.step_size
+        self.dt = fluid.timeInt.step_size
         self.block = "coupling"
         self.acceptance = Acceptance(self.options)
         self.passes = 0
@@ -61,7 +105,7 @@ class Step:
 
     # -- set-up -------------------------------------------------------------------------------------------------------
 
-    def run(self) -> StepReport:
+    def run(self) -> Outcome:
         """Predict, iterate, update the multiplier."""
         self._predict()
         self._place()
@@ -87,7 +131,7 @@ class Step:
         moving.time.predict()
         moving.move()
         moving.check()
-        self.c.locator.displace(displacement_of_cells(moving))
+        self.locator.displace(displacement_of_cells(moving))
         self.block = "coupling"
 
     def _place(self) -> None:
@@ -95,7 +139,7 @@ class Step:
         x = ranks.first(self.comm, self.shell.positions())
         if not np.isfinite(x).all():
             raise RejectedStepError("shell", "the predicted positions are not finite")
-        location = self.location = self.c.locator.locate(x)
+        location = self.location = self.locator.locate(x)
         self.inactive = int((~location.active).sum())
         self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
         self.trace = trace_matrix(self.fluid.velocity_space, location)
@@ -103,13 +147,16 @@ class Step:
             self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
         means = self.vertex_functions if self.options.relaxation_mode == "smoothed" else None
-        self.multiplier = Multiplier(self.c.lam, self.fluid, self.shell, self.trace, location.active, self.n, means)
-        self.c.watch.placed(self, x)
+        held = held_points(self.comm, self.fluid.free, self.shell.sheets, self.trace, self.n)
+        of_points = {"held": held, "active": location.active, "weights": self.shell.quadrature.weights}
+        self.multiplier = Multiplier(self.lam, self.n, self.shell.sheets, vertex_functions=means, **of_points)
+        self.spacing = self.watch.spacing(x)
+        self.watch.placed(self, x)
 
     @cached_property
     def vertex_functions(self) -> sp.csr_matrix:
         """Linear functions of the fluid mesh's vertices at the points, made where something asks (collective)."""
-        return self.c.locator.vertex_functions(self.location)
+        return self.locator.vertex_functions(self.location)
 
     # -- block iteration ----------------------------------------------------------------------------------------------
 
@@ -200,30 +247,30 @@ class Step:
 
     def _floors(self) -> tuple[float, float]:
         """See :func:`residual_floors`; before the first solve those of the step before are good enough."""
-        if self.passes == 0 and self.c.floors is not None:
-            return self.c.floors
+        if self.passes == 0 and self.floors is not None:
+            return self.floors
         pushed = np.abs(self.multiplier.acting)[:, None] * np.abs(self.n)
         part = pushed + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
         terms, stiffness = self.W[:, None] * part, self.W * self.beta * self.shell.timeInt.xdot_factor
         state, atol = (self.fluid, self.shell, self.trace, terms, stiffness), self.options.block_atol
-        self.c.floors = residual_floors(*state, atol=atol, solved=self.passes > 0)
-        return self.c.floors
+        self.floors = residual_floors(*state, atol=atol, solved=self.passes > 0)
+        return self.floors
 
     # -- end ----------------------------------------------------------------------------------------------------------
 
-    def _finish(self) -> StepReport:
+    def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        forces = exchange.point_forces(u, y_dot, self.c.lam, n, W, penalty=self.beta)
+        forces = exchange.point_forces(u, y_dot, self.lam, n, W, penalty=self.beta)
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
         ranks.share(self.comm, lam)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
         on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
-        areas, self.c.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
+        areas, self.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
         monitors = measure(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))
-        self.c.watch.finished(self, report)
-        return report
+        self.watch.finished(self, report)
+        return Outcome(report, lam, self.floors)
 
     def _contact(self) -> ContactReport | None:
         if self.shell.contact is None:
@@ -237,15 +284,15 @@ class Step:
     def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
         """What has been done so far."""
         return StepReport(
-            t=self.c.timeInt_f.time + self.dt,
-            t_alpha=float(self.c.timeInt_f.t_alpha.value),
+            t=self.fluid.timeInt.time + self.dt,
+            t_alpha=float(self.fluid.timeInt.t_alpha.value),
             attempts=2 if self.cautious else 1,
             passes=self.passes,
             residuals=tuple(self.acceptance.history),
             linear_iterations=self.linear_iterations,
             penalty=self.beta,
             inactive_points=self.inactive,
-            slip_ratio=float(np.abs(self.c.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
+            slip_ratio=float(np.abs(self.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
             monitors=monitors,
             contact=contact,
         )
@@ -253,7 +300,7 @@ class Step:
     def failure(self, error: Exception) -> StepError:
         """The error that tells the user which block failed, why, and which number is suspect."""
         block = error.block if isinstance(error, RejectedStepError) else self.block
-        suspect, touching = self.c.watch.suspect(self), self.shell.touching
+        suspect, touching = self.watch.suspect(self), self.shell.touching
         if block == "shell" and touching is not None:
             suspect += f"; {touching.pairs} pairs touch: reduce dt or smooth the kernel of contact"
         return StepError(block, str(error), suspect, self.report(None))

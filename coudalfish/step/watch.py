@@ -3,21 +3,23 @@
 A warning advises what has been measured to help, see docs/stability.md.
 """
 
+import logging
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.scales import directions, extent
 from coudalfish.sides.shell import ShellSubproblem
+from coudalfish.step.acceptance import Acceptance
 from coudalfish.step.report import StepReport
 from coudalfish.surface.exchange import VertexMeans
 from coudalfish.surface.slip import SHARE_OF_LOAD, WINDOW, SlipWindow, root_mean_square
 from tigar_x.compat import FloatArray
 
-if TYPE_CHECKING:
-    from coudalfish.step.attempt import Step
+log = logging.getLogger(__name__)
 
 SLIP_LIMIT = 0.3
 """Largest slip per load change relative to the fluid's cells, lam dt/(beta h), before a warning."""
@@ -59,6 +61,40 @@ class Figure(NamedTuple):
         return f" = {self.value:.3g}, advised at most {self.limit:g}"
 
 
+class Watched(Protocol):
+    """What is looked at of a step.
+
+    Attributes:
+        dt: time step.
+        beta: penalty.
+        lam: multiplier, shape (points,).
+        n: normals, shape (points, d).
+        W: reference areas, zero at points outside the fluid, shape (points,).
+        u: velocity of the fluid at the points, shape (points, d).
+        y_dot: their own velocity, shape (points, d).
+        spacing: largest distance of neighbouring points; unit: length.
+        inactive: number of points outside the fluid.
+        block: where the step is.
+        acceptance: what judges its residuals.
+    """
+
+    dt: float
+    beta: float
+    lam: FloatArray
+    n: FloatArray
+    W: FloatArray
+    u: FloatArray
+    y_dot: FloatArray
+    spacing: float
+    inactive: int
+    block: str
+    acceptance: Acceptance
+
+    @property
+    def vertex_functions(self) -> sp.csr_matrix:
+        """Linear functions of the fluid mesh's vertices at the points (collective)."""
+
+
 class Watch:
     """Watches the steps of one coupled run.
 
@@ -74,10 +110,26 @@ class Watch:
         self._exceeded: dict[str, tuple[float, Figure]] = {}  # since when, and how much at the start of this step
         self._speed: float | None = None
         self._slip = SlipWindow()
+        self._warned: set[str] = set()
+
+    def warn_once(self, key: str, message: str, *numbers: Any) -> None:
+        """Log a warning on rank 0 the first time it applies."""
+        if key not in self._warned:
+            self._warned.add(key)
+            if self._fluid.comm.rank == 0:
+                log.warning(message, *numbers)
 
     # -- before the passes --------------------------------------------------------------------------------------------
 
-    def placed(self, step: "Step", x: FloatArray) -> None:
+    def spacing(self, x: FloatArray) -> float:
+        """Largest distance of neighbouring points along what can flow; unit: length.
+
+        Args:
+            x: positions of the points, shape (points, d).
+        """
+        return self._shell.spacing(x * self._directions)
+
+    def placed(self, step: Watched, x: FloatArray) -> None:
         """Look at a step whose points have been placed (collective).
 
         Args:
@@ -85,9 +137,8 @@ class Watch:
             x: positions of the points, shape (points, d).
         """
         h = self._fluid.mesh_size
-        step.spacing = self._shell.spacing(x * self._directions)
         if step.spacing > SPACING_LIMIT * h:
-            step.c.warn_once(
+            self.warn_once(
                 "spacing",
                 "immersed points are up to %.3g apart, %.2f times the fluid's cell size: the surface may leak "
                 "(at most %g times is advised; refine the shell)",
@@ -98,7 +149,7 @@ class Watch:
         self._warn_of_points_outside(step, x)
         if self._speed is None:
             self._speed = self._fluid.speed()
-        self._note(step.c.timeInt_f.time, self._figures(step, self._speed))
+        self._note(self._fluid.timeInt.time, self._figures(step, self._speed))
 
     def _note(self, t: float, figures: dict[str, Figure]) -> None:
         """Remember which numbers are beyond their limits, those that left them first in front."""
@@ -108,18 +159,16 @@ class Watch:
             else:
                 self._exceeded[name] = self._exceeded.get(name, (t, figure))[0], figure
 
-    def _warn_of_points_outside(self, step: "Step", x: FloatArray) -> None:
+    def _warn_of_points_outside(self, step: Watched, x: FloatArray) -> None:
         sizes = np.ptp(x, axis=0)
         ratio = sizes.max() / self._sizes.max()
         here = f"the shell spans {_lengths(sizes)}, the fluid {_lengths(self._sizes)}"
         if ratio > OTHER_UNITS or sizes.max() < self._fluid.mesh_size:
             here += f", whose cells have the size {self._fluid.mesh_size:.3g}; are their units of length the same?"
         if step.inactive == len(x):
-            step.c.warn_once(
-                "outside", "no point of the shell is in the fluid: they do not act on each other; %s", here
-            )
+            self.warn_once("outside", "no point of the shell is in the fluid: they do not act on each other; %s", here)
         elif step.inactive:
-            step.c.warn_once(
+            self.warn_once(
                 "outside",
                 "%d of %d points of the shell are outside the fluid, which does not act on them; %s",
                 step.inactive,
@@ -127,11 +176,11 @@ class Watch:
                 here,
             )
         elif sizes.max() < self._fluid.mesh_size:
-            step.c.warn_once("small shell", "the shell is smaller than a cell of the fluid: %s", here)
+            self.warn_once("small shell", "the shell is smaller than a cell of the fluid: %s", here)
 
     # -- after the passes ---------------------------------------------------------------------------------------------
 
-    def finished(self, step: "Step", report: StepReport) -> None:
+    def finished(self, step: Watched, report: StepReport) -> None:
         """Look at a step that has been accepted (collective).
 
         Args:
@@ -144,9 +193,9 @@ class Watch:
         if report.contact is not None:
             self._warn_of_contact(step, report.t, report.contact.closing_ratio)
 
-    def _warn_of_slip(self, step: "Step", speed: float) -> None:
+    def _warn_of_slip(self, step: Watched, speed: float) -> None:
         h, dt, beta = self._fluid.mesh_size, step.dt, step.beta
-        both = np.hstack([step.c.lam[:, None] * step.n, step.u - step.y_dot])
+        both = np.hstack([step.lam[:, None] * step.n, step.u - step.y_dot])
         lam, slip = np.hsplit(VertexMeans(step.vertex_functions, step.W) @ both, 2)
         ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * dt / (beta * h)
         moved = root_mean_square(step.W, step.y_dot)
@@ -154,7 +203,7 @@ class Watch:
         now = self._slip.add(slip, step.n, step.W, max(speed, moved, rest))
         # a load that is there already moves nothing through the shell: the more a change would, the less has to be seen
         if ratio > SLIP_LIMIT and now is not None and ratio * now.normal > SLIP_LIMIT * NORMAL_SLIP_LIMIT:
-            step.c.warn_once(
+            self.warn_once(
                 "slip",
                 "slip ratio lam dt/(beta h) = %.3g exceeds %g while the fluid passes the shell with %.2g of the speed: "
                 "a change of load by lam moves the fluid through the shell by that part of a cell; where loads go on "
@@ -166,7 +215,7 @@ class Watch:
             )
         found = self._slip.slip
         if found is not None and found.normal > NORMAL_SLIP_LIMIT:
-            step.c.warn_once(
+            self.warn_once(
                 "normal slip",
                 "over %d steps the fluid passed the shell with %.2g of the speed (at most %g is advised): the "
                 "multiplier lags behind the load, and the shell moves too slowly; reduce dt or raise the penalty "
@@ -177,7 +226,7 @@ class Watch:
                 beta,
             )
         if found is not None and found.tangential > TANGENTIAL_SLIP_LIMIT:
-            step.c.warn_once(
+            self.warn_once(
                 "tangential slip",
                 "over %d steps the fluid slid along the shell with %.2g of the speed (at most %g is advised): refine "
                 "its mesh there; a larger penalty or a smaller dt drags a layer of the flow along and need not help",
@@ -193,10 +242,10 @@ class Watch:
             return 0.0
         return SHARE_OF_LOAD * lam / (rho * h / dt + mu / h)
 
-    def _warn_of_contact(self, step: "Step", t: float, closing: float) -> None:
+    def _warn_of_contact(self, step: Watched, t: float, closing: float) -> None:
         self._note(t, {CLOSING: Figure(closing, CLOSING_LIMIT)})
         if closing > CLOSING_LIMIT:
-            step.c.warn_once(
+            self.warn_once(
                 "closing",
                 "points approach each other by %.3g of the range of contact in a step: surfaces may pass each other "
                 "(at most %g is advised; reduce dt)",
@@ -205,7 +254,7 @@ class Watch:
             )
         spacing = 0.0 if self._shell.contact is None else self._shell.contact.spacing_ratio
         if spacing > SPACING_LIMIT:
-            step.c.warn_once(
+            self.warn_once(
                 "contact spacing",
                 "points are up to %.3g times the range of contact apart: surfaces may pass between them (at most %g is "
                 "advised; refine the shell or raise r_max)",
@@ -213,13 +262,13 @@ class Watch:
                 SPACING_LIMIT,
             )
 
-    def _warn_of_small_step(self, step: "Step", speed: float) -> None:
+    def _warn_of_small_step(self, step: Watched, speed: float) -> None:
         rho, mu, h = self._fluid.density, self._fluid.viscosity, self._fluid.mesh_size
         if rho is None or mu is None:
             return
         scale = step.dt * (mu / (rho * h**2) + speed / h)
         if scale < TIME_STEP_LIMIT:
-            step.c.warn_once(
+            self.warn_once(
                 "time step",
                 "dt (|u|/h + nu/h^2) = %.3g is below %g: the stabilisation vanishes with dt and the pressure may "
                 "oscillate; raise dt or refine the fluid mesh",
@@ -229,15 +278,15 @@ class Watch:
 
     # -- failure ------------------------------------------------------------------------------------------------------
 
-    def _figures(self, step: "Step", speed: float) -> dict[str, Figure]:
+    def _figures(self, step: Watched, speed: float) -> dict[str, Figure]:
         """Numbers that have limits, by name with the remedy."""
         fluid, h = self._fluid, self._fluid.mesh_size
-        slip = float(np.abs(step.c.lam).max(initial=0.0)) * step.dt / (step.beta * h)
+        slip = float(np.abs(step.lam).max(initial=0.0)) * step.dt / (step.beta * h)
         figures = {
             "slip ratio lam dt/(beta h) (raise the penalty beta or reduce dt)": Figure(slip, SLIP_LIMIT),
             "Courant number |u - u_mesh| dt/h (reduce dt)": Figure(speed * step.dt / h, COURANT_LIMIT),
             "point spacing/h (refine the shell)": Figure(step.spacing / h, SPACING_LIMIT),
-            "fraction of points outside the fluid mesh": Figure(step.inactive / len(step.c.lam), 0.5),
+            "fraction of points outside the fluid mesh": Figure(step.inactive / len(step.lam), 0.5),
         }
         if step.acceptance.limits[0] > 0.0:
             leftover = fluid.linear_accuracy / step.acceptance.limits[0]
@@ -248,7 +297,7 @@ class Watch:
             figures[name] = Figure(step.beta / impedance, PENALTY_LIMIT)
         return figures
 
-    def suspect(self, step: "Step") -> str:
+    def suspect(self, step: Watched) -> str:
         """The number that left its limit first and the one that exceeds it most, or a statement that none does."""
         if step.block == "mesh":
             return "the motion of the mesh in this step (reduce dt)"
@@ -267,7 +316,7 @@ class Watch:
         first = min(self._exceeded, key=lambda name: (self._exceeded[name][0], -self._exceeded[name][1].excess))
         since, figure = self._exceeded[first]
         told = first + str(figure)
-        if since < step.c.timeInt_f.time:
+        if since < self._fluid.timeInt.time:
             told += f", since t = {since:.4g}"
         return told if worst == first else f"{told}; then {most}"
 

@@ -9,8 +9,6 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from scipy.sparse.csgraph import connected_components
 
-from coudalfish.sides.fluid import FluidSubproblem
-from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.surface.exchange import VertexMeans, updated_multiplier
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix
@@ -31,11 +29,11 @@ class Multiplier:
 
     Args:
         lam: multiplier, shape (points,).
-        fluid: the flow.
-        shell: the shell.
-        trace: where the points are.
-        active: mask of the points in the fluid, shape (points,).
         n: normals at the start of the step, shape (points, d).
+        sheets: how the points hang together.
+        held: mask of the points that neither side can move, shape (points,).
+        active: mask of the points in the fluid, shape (points,).
+        weights: reference areas of the points, shape (points,).
         vertex_functions: of the fluid's mesh at the points; None: relaxation is uniform.
 
     Attributes:
@@ -45,18 +43,18 @@ class Multiplier:
     def __init__(
         self,
         lam: FloatArray,
-        fluid: FluidSubproblem,
-        shell: ShellSubproblem,
-        trace: TraceMatrix,
-        active: Any,
         n: FloatArray,
+        sheets: Sheets,
+        *,
+        held: Any,
+        active: Any,
+        weights: FloatArray,
         vertex_functions: sp.csr_matrix | None,
     ) -> None:
-        self._held = held_points(fluid, shell, trace, n)
-        self._lam, self._active, self._sheets = lam, active, shell.sheets
-        self.acting = np.where(self._held, 0.0, lam)
-        W = np.where(active & ~self._held, shell.quadrature.weights, 0.0)
-        self._means = None if vertex_functions is None else SheetMeans(vertex_functions, W, n, shell.sheets)
+        self._held, self._lam, self._active, self._sheets = held, lam, active, sheets
+        self.acting = np.where(held, 0.0, lam)
+        W = np.where(active & ~held, weights, 0.0)
+        self._means = None if vertex_functions is None else SheetMeans(vertex_functions, W, n, sheets)
 
     def updated(
         self, u: FloatArray, y_dot: FloatArray, n: FloatArray, *, penalty: float, relaxation: float
@@ -137,24 +135,25 @@ def apart(N: sp.csr_matrix, sheets: Sheets) -> sp.csr_matrix:
     return sp.csr_matrix((N.data, column, N.indptr), shape=(N.shape[0], parts))
 
 
-def held_points(fluid: FluidSubproblem, shell: ShellSubproblem, trace: TraceMatrix, n: FloatArray) -> Any:
+def held_points(comm: MPI.Comm, free: Any, sheets: Sheets, trace: TraceMatrix, n: FloatArray) -> Any:
     """Points at which neither side can move along the normal, so that no slip drives the multiplier (collective).
 
     Args:
-        fluid: the flow.
-        shell: the shell.
+        comm: of the fluid.
+        free: mask of the fluid's velocities that no strong condition holds, shape (nodes, d).
+        sheets: how the points hang together, and how far the shell can move them.
         trace: where the points are.
         n: normals, shape (points, d).
 
     Returns:
         Mask, shape (points,).
     """
-    if ranks.first(fluid.comm, bool((shell.sheets.mobility > HELD).all())):
+    if ranks.first(comm, bool((sheets.mobility > HELD).all())):
         return np.zeros(len(n), dtype=bool)
-    mobility = np.asarray(trace.B @ fluid.free[trace.nodes].astype(float))
+    mobility = np.asarray(trace.B @ free[trace.nodes].astype(float))
     total = np.empty_like(mobility)
-    fluid.comm.Allreduce(mobility, total, op=MPI.SUM)
-    return (np.abs(n) * np.maximum(total, shell.sheets.mobility)).sum(axis=1) <= HELD * np.abs(n).sum(axis=1)
+    comm.Allreduce(mobility, total, op=MPI.SUM)
+    return (np.abs(n) * np.maximum(total, sheets.mobility)).sum(axis=1) <= HELD * np.abs(n).sum(axis=1)
 
 
 def carried_over(lam: FloatArray, known: Any, wanted: Any, sheets: Sheets) -> FloatArray:
