@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.fem.linear import PreparedSolver, SolveError, direct, gmres_ilu, gmres_sor
+from tigar_x.fem.projection import project
 from tigar_x.fem.solve import FiniteElementSystem, newton
 
 WORLD = MPI.COMM_WORLD
@@ -423,3 +424,33 @@ def test_what_no_state_can_balance_is_taken_out_of_the_residual():
     assert WORLD.allreduce(residual.sum(), op=MPI.SUM) == pytest.approx(0.0, abs=1e-12)
     compat.assemble_vector(system.b, system._residual)
     assert WORLD.allreduce(system.b.array_r.reshape(-1, 3)[:, 2].sum(), op=MPI.SUM) < -0.5
+
+
+# -- projection -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("size", [1, 3])
+def test_a_projection_keeps_polynomials_and_the_mean_of_what_is_none(size):
+    domain = mesh.create_unit_square(WORLD, 4, 3)
+    function = fem.Function(compat.lagrange_space(domain, 2, size))
+    x = ufl.SpatialCoordinate(domain)
+    polynomial = x[0] * x[1] - 2 * x[1] ** 2
+    step = ufl.conditional(ufl.lt(x[0], 0.4), 1.0, x[1])
+    for f, close in ((polynomial, True), (step, False)):
+        expression = f if size == 1 else ufl.as_vector([f, 2 * f, 1.0])
+        project(function, expression)
+        e, one = function - expression, 1.0 if size == 1 else ufl.as_vector([1.0, 1.0, 1.0])
+        dx = ufl.dx(domain=domain, metadata={"quadrature_degree": 6})
+        mean, square = (
+            compat.assemble_scalar(form) for form in compat.compile_forms(ufl.inner(e, one) * dx, ufl.inner(e, e) * dx)
+        )
+        assert abs(mean) < 1e-12
+        assert (square < 1e-20) == close
+
+
+def test_a_projection_refuses_another_shape():
+    domain = mesh.create_unit_square(WORLD, 2, 2)
+    function = fem.Function(compat.lagrange_space(domain, 1, 2))
+    with pytest.raises(ValueError, match=r"expression has shape \(\): that of the function, \(2,\), is required"):
+        project(function, ufl.SpatialCoordinate(domain)[0])

@@ -16,7 +16,7 @@ from tigar_x.fem.linear import PreparedSolver
 class RankOne(Protocol):
     """A load ``s(x) a`` with one scalar s of the whole unknown, such as a pressure that follows an outlet's flow rate.
 
-    The residual contains s as of its assembly (see ``before`` of :class:`FiniteElementSystem`). Its tangent ``a s'^T``
+    The residual contains s as of its assembly (see ``before`` of ``FiniteElementSystem``). Its tangent ``a s'^T``
     is dense, and is therefore not assembled but added to the solution of systems without it.
     """
 

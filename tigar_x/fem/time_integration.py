@@ -32,7 +32,7 @@ class TimeIntegrator:
     Args:
         x: the unknown x_{n+1}; its present value is the initial one.
         dt: step size; unit: time.
-        scheme: from :func:`generalized_alpha` or :func:`backward_euler`.
+        scheme: from :func:`~tigar_x.fem.schemes.generalized_alpha` or :func:`~tigar_x.fem.schemes.backward_euler`.
         t: initial time.
         xdot: initial rate; None: zero.
         xddot: initial second rate; None: zero.

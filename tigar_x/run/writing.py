@@ -1,8 +1,8 @@
 """How files are written: by rank 0 alone, at once or not at all, with errors that all ranks raise.
 
 A rank that raises alone leaves the others waiting for it in the next collective call, so whatever one rank does for all
-goes through :func:`on_root` or :func:`root_only`, and what each rank does for itself but may fail on some through
-:func:`together`.
+goes through ``on_root`` or ``root_only``, and what each rank does for itself but may fail on some through ``together``,
+all of :mod:`tigar_x.ranks`.
 """
 
 import os

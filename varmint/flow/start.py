@@ -9,6 +9,7 @@ from dolfinx import fem
 
 from tigar_x import checks, compat
 from tigar_x.fem.linear import SolveError
+from tigar_x.fem.projection import project
 from tigar_x.fem.solve import FiniteElementSystem, newton
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Data, given
@@ -30,7 +31,7 @@ def set_state(state: FlowState, velocity: Data, pressure: Any, *, projected: boo
     checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
     values = ufl.as_vector([*components, 0.0 if p is None else p])
     if projected:
-        _project(state.w, values, 2 * state.degree + 2)
+        project(state.w, values)
     else:
         compat.interpolate(state.w, values)
     if state.time is not None:
@@ -104,17 +105,3 @@ def _prescribe_rates(
     if mesh is not None:
         mesh.restore()
     unknown.x.array[dofs] = ((sides[1] - sides[0]) / (2.0 * delta))[dofs]
-
-
-def _project(function: fem.Function, expression: Any, degree: int) -> None:
-    """Project in L2 (collective).
-
-    Args:
-        function: target.
-        expression: UFL expression of the same shape.
-        degree: of quadrature.
-    """
-    dx = ufl.dx(domain=function.function_space.mesh, metadata={"quadrature_degree": degree})
-    residual = ufl.inner(function - expression, ufl.TestFunction(function.function_space)) * dx
-    function.x.array[:] = 0.0  # else a start that is the projection already leaves nothing but rounding to reduce
-    newton(FiniteElementSystem(residual, function), rtol=1e-10)

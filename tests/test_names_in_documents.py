@@ -1,0 +1,133 @@
+"""What documents and docstrings name is there: modules, classes, functions, arguments, files and options."""
+
+import ast
+import importlib
+import re
+
+import pytest
+from documents import DOCUMENTS, blocks, inline, prose
+from on_disk import ROOT
+
+PACKAGES = ("tigar_x", "shnapr", "varmint", "coudalfish")
+SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+DOTTED = re.compile(rf"(?<![\w./-])(?:{'|'.join(PACKAGES)})(?:\.[A-Za-z_]\w*)+")
+FILES = re.compile(r"(?<![\w./-])(?:tests|demos|benchmarks|tools|docs|tigar_x|shnapr|varmint|coudalfish)/[\w./-]*\w")
+
+
+ELSEWHERE = {
+    "SpatialCoordinate",
+    "derivative",
+    "div",
+    "dirichletbc",
+    "ds",
+    "dx",
+    "grad",
+    "len",
+    "linspace",
+    "refine",
+    "sym",
+}
+"""Names of UFL, dolfinx, NumPy and Python that porting.md offers."""
+
+
+def resolved(dotted):
+    """The module, or what it holds, that a dotted name stands for."""
+    parts = dotted.split(".")
+    for i in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:i]))
+        except ModuleNotFoundError as error:
+            if error.name and not ".".join(parts[:i]).startswith(error.name):
+                raise
+            continue
+        for part in parts[i:]:
+            found = getattr(found, part)
+        return found
+    raise ModuleNotFoundError(dotted)
+
+
+def module_of(path):
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_dotted_names_in_documents_resolve(path):
+    for dotted in sorted(set(DOTTED.findall(path.read_text()))):
+        resolved(dotted.removesuffix(".py"))
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_files_named_in_documents_exist(path):
+    for name in sorted(set(FILES.findall(path.read_text()))):
+        assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_imports_in_blocks_of_code_resolve(path):
+    for language, code in blocks(path):
+        if language != "python":
+            continue
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in PACKAGES:
+                for alias in node.names:
+                    resolved(f"{node.module}.{alias.name}")
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_cross_references_in_docstrings_resolve(package):
+    """Those with a dot from the root, the others from their module or from a class of it."""
+    found = 0
+    for path in (ROOT / package).rglob("*.py"):
+        for target in re.findall(r":(?:mod|class|func|meth|attr|data|exc):`~?([\w.]+)`", path.read_text()):
+            found += 1
+            if target.split(".")[0] in PACKAGES:
+                resolved(target)
+                continue
+            module = importlib.import_module(module_of(path))
+            first, *rest = target.split(".")
+            owners = [module, *(thing for thing in vars(module).values() if isinstance(thing, type))]
+            assert any(_has(owner, [first, *rest]) for owner in owners), f"{path.name}: {target}"
+    assert found
+
+
+def _has(owner, names):
+    for name in names:
+        if not hasattr(owner, name) and name not in getattr(owner, "__annotations__", {}):
+            return False
+        owner = getattr(owner, name, None)
+    return True
+
+
+def vocabulary():
+    """Every name that the sources define: modules, functions, classes, arguments, attributes, and words of choices."""
+    words = set()
+    for path in [*SOURCES, *sorted((ROOT / "demos").glob("*.py")), *sorted((ROOT / "benchmarks").glob("*.py"))]:
+        words.update(path.relative_to(ROOT).with_suffix("").parts)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                words.add(node.name)
+            elif isinstance(node, ast.arg):
+                words.add(node.arg)
+            elif isinstance(node, ast.Attribute | ast.Name) and isinstance(node.ctx, ast.Store):
+                words.add(node.attr if isinstance(node, ast.Attribute) else node.id)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"\w+", node.value):
+                words.add(node.value)
+    return words
+
+
+def new_names():
+    """Calls and attributes in the middle column of porting.md's tables."""
+    rows = [line.split(" | ") for line in prose(ROOT / "docs/porting.md").splitlines() if line.startswith("| ")]
+    for row in rows:
+        for code in inline(row[1]):
+            for name in re.findall(r"([A-Za-z_]\w*)\(|(?<![\w)\]])\.([A-Za-z_]\w*)|([A-Za-z_]\w*)=", code):
+                yield "".join(name), code
+
+
+def test_what_replaces_a_legacy_name_is_there():
+    """A call, an attribute or an argument that the tables of porting.md offer is defined somewhere."""
+    words = vocabulary() | ELSEWHERE
+    found = list(new_names())
+    assert len(found) > 300
+    missing = {f"{name} in {code}" for name, code in found if name not in words}
+    assert not missing
