@@ -15,9 +15,7 @@ In three dimensions the square is extruded by H with one layer of cells and slip
 source. All norms are per unit depth.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -25,17 +23,25 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
 
-from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, StepReport, SurfaceBand
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepReport, SurfaceBand
+from coudalfish.problems.manufactured import (
+    DOI,
+    PUBLISHED_CODE,
+    Data,
+    cells_per_side,
+    errors,
+    exact_flow,
+    membrane,
+    on_extrusion_ends,
+    on_sides,
+    square,
+)
 from coudalfish.restart import CoupledState
-from shnapr.loads import dead_load, inertia
-from shnapr.svk import StVenantKirchhoff
-from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks, compat
-from tigar_x.fem.linear import LinearSolver, direct
+from tigar_x.fem.linear import LinearSolver
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem
 from tigar_x.fem.time_integration import TimeIntegrator
-from tigar_x.geometry import shapes
 from tigar_x.ranks import root_only
 from tigar_x.run import script
 from tigar_x.run.output import CSVSeries
@@ -45,86 +51,13 @@ from tigar_x.run.restart import Restart
 from tigar_x.run.summary import table, write_summary
 from tigar_x.run.vtkhdf import VTKHDFSeries
 from tigar_x.run.writing import claim
-from tigar_x.splines.spline import ExtractedSpline
 from tigar_x.splines.vtu import VTUSeries
 from varmint.forms.boundary import weak_dirichlet
 from varmint.forms.space import equal_order_space, split
 from varmint.forms.vms import interior_residual
 from varmint.mesh import named
 
-DOI = "10.1016/j.camwa.2020.01.023"
 TOY = {"level": 1, "dt_factor": 1.0}
-
-# Errors of the published code per unit depth, measured with degree-2 quadrature on a one-layer extrusion.
-PUBLISHED_CODE = {
-    1: {"L2_u": 7.250e-2, "H1_u": 8.918e-1, "L2_p": 3.656, "L2_y": 1.400e-3, "H1_y": 3.665e-2},
-    2: {"L2_u": 5.011e-2, "H1_u": 7.499e-1, "L2_p": 8.388e-1, "L2_y": 1.370e-3, "H1_y": 1.907e-2},
-    3: {"L2_u": 1.831e-2, "H1_u": 4.068e-1, "L2_p": 1.434e-1, "L2_y": 7.694e-4, "H1_y": 9.562e-3},
-    4: {"L2_u": 6.542e-3, "H1_u": 2.428e-1, "L2_p": 8.882e-2, "L2_y": 3.852e-4, "H1_y": 4.776e-3},
-}
-
-
-@dataclass(frozen=True)
-class Data:
-    """The problem's data; consistent units."""
-
-    L: float = 1.0
-    H: float = 0.25
-    V: float = 1.0
-    DP: float = 1.0
-    T: float = 1.0
-    mu: float = 0.1
-    rho: float = 1.0
-    youngs_modulus: float = 1.0
-    poisson_ratio: float = 0.3
-    thickness: float = 0.3
-    rho_s: float = 1.0
-    prestress: float = 10.0
-    rho_infinity: float = 0.0
-
-
-def unit(i: int, d: int) -> Any:
-    """Unit vector e_(i+1) in d dimensions."""
-    return ufl.as_vector([float(i == j) for j in range(d)])
-
-
-def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
-    """Velocity u, pressure p and body force per mass f, each chosen by side, and grad(u) taken side by side."""
-    Y, dY = c.L * x[1] - x[1] ** 2, c.L - 2 * x[1]
-    e_1, e_2 = unit(0, len(x)), unit(1, len(x))
-    S = c.V * (x[0] - c.L / 2 - c.V * t * Y) / c.L
-    u_left = c.V * Y * e_1
-    u_right = u_left + S * (c.V * t * dY * e_1 + e_2)
-    rate_right = c.V**2 * (((x[0] - c.L / 2) * dY - 2 * c.V * t * Y * dY) * e_1 - Y * e_2) / c.L
-    left = ufl.lt(x[0], c.L / 2 + c.V * t * Y)
-
-    def force(u: Any, rate: Any) -> Any:
-        return rate + ufl.grad(u) * u - ufl.div(2 * c.mu / c.rho * ufl.sym(ufl.grad(u)))
-
-    f_left, f_right = force(u_left, ufl.zero(len(x))), force(u_right, rate_right)
-    return SimpleNamespace(
-        u=ufl.conditional(left, u_left, u_right),
-        p=ufl.conditional(left, 0.0, -c.DP),
-        grad_u=ufl.conditional(left, ufl.grad(u_left), ufl.grad(u_right)),
-        f=ufl.conditional(left, f_left, f_right),
-    )
-
-
-def exact_displacement(X: Any, t: Any, c: Any) -> Any:
-    """Displacement of the membrane."""
-    return c.V * t * (c.L * X[1] - X[1] ** 2) * unit(0, len(X))
-
-
-def membrane_load(X: Any, t: Any, c: Any) -> Any:
-    """Force per reference area that closes the membrane's balance: inertia is zero, stresses and traction are not."""
-    dY, ddY, a = c.L - 2 * X[1], -2.0, c.V * t
-    g = 1 + (a * dY) ** 2
-    K = c.youngs_modulus * c.thickness / (1 - c.poisson_ratio**2)
-    shear = c.mu * g * c.V / c.L
-    e_1, e_2 = unit(0, len(X)), unit(1, len(X))
-    traction = c.DP * (e_1 - a * dY * e_2) + shear * (a * dY * e_1 + e_2)
-    elastic = (1.5 * K * a**3 * dY**2 + c.prestress * a) * ddY * e_1 + K * a**2 * dY * ddY * e_2
-    return -elastic - traction
 
 
 def project(function: fem.Function, expression: Any) -> None:
@@ -175,47 +108,6 @@ def make_fluid(domain: mesh.Mesh, data: Data, dt: float, solver: LinearSolver | 
     )
 
 
-def on_extrusion_ends(x: Any, data: Data) -> Any:
-    """Mask of the points on x_3 = 0 and x_3 = H."""
-    return np.isclose(x[2], 0.0, atol=1e-6 * data.L) | np.isclose(x[2], data.H, atol=1e-6 * data.L)
-
-
-def on_sides(data: Data) -> list[Any]:
-    """Masks of the points on the four sides x_1, x_2 = 0, L, one function for each."""
-    places = [(i, value) for i in (0, 1) for value in (0.0, data.L)]
-    return [lambda x, i=i, value=value: np.isclose(x[i], value, atol=1e-6 * data.L) for i, value in places]
-
-
-def make_membrane(data: Data, d: int, elements: int, dt: float, projected: bool) -> ShellSubproblem:
-    """The membrane: linear B-splines, fixed ends, no bending; nothing moves along the direction of an extrusion."""
-    corner = (data.L / 2, 0.0, 0.0)
-    if d == 2:
-        patch = shapes.line(corner[:2], (data.L / 2, data.L), elements=elements)
-    else:
-        sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
-        patch = shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
-    fixed = [patch.side_dofs("u0"), patch.side_dofs("u1"), np.arange(2, d * patch.basis.n, 3) if d == 3 else []]
-    zero_dofs = np.concatenate(fixed).astype(int)
-    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
-    c = script.constants(spline.mesh, data)
-    speed = exact_displacement(spline.F, 1.0, c)
-    if projected:
-        velocity = spline.project(speed)
-    else:
-        s = patch.points[:, 1]
-        velocity = spline.function(np.outer(data.V * (data.L * s - s**2), np.eye(d)[0]))
-
-    y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
-    scheme = generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True)
-    time = TimeIntegrator(y, dt, scheme, xdot=velocity)
-    prestress = (c.prestress,) if d == 2 else (c.prestress, 0.0, 0.0)
-    material = StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=prestress, bending=False)
-    residual = virtual_work(spline, lambda y: strain_energy(spline, material, y), time.x_alpha, z)
-    residual += inertia(spline, time.xddot_alpha, z, density=c.rho_s, thickness=c.thickness)
-    residual += dead_load(spline, membrane_load(spline.F, time.t_alpha, c), z)
-    return ShellSubproblem(spline, residual, time, solver=direct("petsc"))
-
-
 def build(
     d: int,
     level: int,
@@ -227,40 +119,11 @@ def build(
     data: Data,
 ) -> CouDALFISh:
     """The scene at a refinement level, before its first step."""
-    N, dt = cells_per_side(level), data.T / steps
-    slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
-    corners = np.array([[-slack] * 3, [data.L + slack, data.L + slack, data.H + slack]])[:, :d]
-    if d == 2:
-        domain = mesh.create_rectangle(MPI.COMM_WORLD, corners, [N, N], mesh.CellType.triangle)
-    else:
-        domain = mesh.create_box(MPI.COMM_WORLD, corners, [N, N, 1], mesh.CellType.tetrahedron)
+    dt = data.T / steps
+    domain = square(MPI.COMM_WORLD, data, d, level)
     fluid = make_fluid(domain, data, dt, solver)
-    membrane = make_membrane(data, d, 2 ** (level + 3), dt, projected)
-    return CouDALFISh(fluid, membrane, options, multiplier=data.DP)
-
-
-def cells_per_side(level: int) -> int:
-    """Fluid cells along a side of the square."""
-    return 3 * 2 ** checks.whole("level", level, 0)
-
-
-def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, float]:
-    """Norms of the errors at time t per unit depth; the gradient is compared side by side."""
-    domain, spline = fsi.mesh_f, fsi.spline_sh
-    (v, p), y = split(fsi.timeInt_f.x), fsi.timeInt_sh.x
-    exact = exact_flow(ufl.SpatialCoordinate(domain), t, script.constants(domain, data))
-    dx = ufl.dx(domain=domain, metadata={"quadrature_degree": degree})
-    e_y = y - exact_displacement(spline.F, t, script.constants(spline.mesh, data))
-    forms = compat.compile_forms(
-        ufl.inner(v - exact.u, v - exact.u) * dx,
-        ufl.inner(ufl.grad(v) - exact.grad_u, ufl.grad(v) - exact.grad_u) * dx,
-        (p - exact.p) ** 2 * dx,
-        ufl.inner(e_y, e_y) * spline.dx,
-        ufl.inner(spline.grad(e_y), spline.grad(e_y)) * spline.dx,
-    )
-    names = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
-    depth = 1.0 if domain.geometry.dim == 2 else data.H
-    return {name: (compat.assemble_scalar(form) / depth) ** 0.5 for name, form in zip(names, forms, strict=True)}
+    shell = membrane(data, d, 2 ** (level + 3), dt, projected)
+    return CouDALFISh(fluid, shell, options, multiplier=data.DP)
 
 
 def main(

@@ -1,0 +1,231 @@
+"""The manufactured problem: a membrane that is swept along by a flow, with its exact solution.
+
+The square (0, L)^2 is cut by a membrane that starts as the line x_1 = L/2 and moves with y = V t Y(X_2) e_1,
+Y(s) = L s - s^2. Left of it the flow is u = V Y(x_2) e_1, p = 0. Right of it
+
+    u = V Y(x_2) e_1 + S (V t Y'(x_2) e_1 + e_2),   S = V (x_1 - L/2 - V t Y(x_2))/L,   p = -DP,
+
+so that u is continuous and solenoidal, equals the membrane's velocity on it, and pressure and velocity gradient jump.
+Body forces on both sides and a load on the membrane make this an exact solution of the coupled problem.
+
+In three dimensions the square is extruded by H with one layer of cells and slip on its top and bottom, as in the
+source. All norms are per unit depth. The flow's equations are the script's: any that solve Navier and Stokes' do.
+
+Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
+section 5.3.1, doi:10.1016/j.camwa.2020.01.023.
+"""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from dolfinx import mesh
+
+from coudalfish.coupler import CouDALFISh
+from coudalfish.sides.shell import ShellSubproblem
+from shnapr.loads import dead_load, inertia
+from shnapr.svk import StVenantKirchhoff
+from shnapr.work import strain_energy, virtual_work
+from tigar_x import checks, compat
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.run.script import constants
+from tigar_x.splines.spline import ExtractedSpline
+
+DOI = "10.1016/j.camwa.2020.01.023"
+
+# Errors of the published code per unit depth, measured with degree-2 quadrature on a one-layer extrusion.
+PUBLISHED_CODE = {
+    1: {"L2_u": 7.250e-2, "H1_u": 8.918e-1, "L2_p": 3.656, "L2_y": 1.400e-3, "H1_y": 3.665e-2},
+    2: {"L2_u": 5.011e-2, "H1_u": 7.499e-1, "L2_p": 8.388e-1, "L2_y": 1.370e-3, "H1_y": 1.907e-2},
+    3: {"L2_u": 1.831e-2, "H1_u": 4.068e-1, "L2_p": 1.434e-1, "L2_y": 7.694e-4, "H1_y": 9.562e-3},
+    4: {"L2_u": 6.542e-3, "H1_u": 2.428e-1, "L2_p": 8.882e-2, "L2_y": 3.852e-4, "H1_y": 4.776e-3},
+}
+
+
+@dataclass(frozen=True)
+class Data:
+    """The problem's data; consistent units."""
+
+    L: float = 1.0
+    H: float = 0.25
+    V: float = 1.0
+    DP: float = 1.0
+    T: float = 1.0
+    mu: float = 0.1
+    rho: float = 1.0
+    youngs_modulus: float = 1.0
+    poisson_ratio: float = 0.3
+    thickness: float = 0.3
+    rho_s: float = 1.0
+    prestress: float = 10.0
+    rho_infinity: float = 0.0
+
+
+def unit(i: int, d: int) -> Any:
+    """Unit vector e_(i+1) in d dimensions."""
+    return ufl.as_vector([float(i == j) for j in range(d)])
+
+
+def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
+    """The flow at a time, in both parts.
+
+    Args:
+        x: position, of 2 or 3 components.
+        t: time.
+        c: the problem's data, as numbers or Constants.
+
+    Returns:
+        Velocity ``u``, pressure ``p`` and body force per mass ``f``, each chosen by side, and ``grad_u`` taken side by
+        side, without the jump.
+    """
+    Y, dY = c.L * x[1] - x[1] ** 2, c.L - 2 * x[1]
+    e_1, e_2 = unit(0, len(x)), unit(1, len(x))
+    S = c.V * (x[0] - c.L / 2 - c.V * t * Y) / c.L
+    u_left = c.V * Y * e_1
+    u_right = u_left + S * (c.V * t * dY * e_1 + e_2)
+    rate_right = c.V**2 * (((x[0] - c.L / 2) * dY - 2 * c.V * t * Y * dY) * e_1 - Y * e_2) / c.L
+    left = ufl.lt(x[0], c.L / 2 + c.V * t * Y)
+
+    def force(u: Any, rate: Any) -> Any:
+        return rate + ufl.grad(u) * u - ufl.div(2 * c.mu / c.rho * ufl.sym(ufl.grad(u)))
+
+    f_left, f_right = force(u_left, ufl.zero(len(x))), force(u_right, rate_right)
+    return SimpleNamespace(
+        u=ufl.conditional(left, u_left, u_right),
+        p=ufl.conditional(left, 0.0, -c.DP),
+        grad_u=ufl.conditional(left, ufl.grad(u_left), ufl.grad(u_right)),
+        f=ufl.conditional(left, f_left, f_right),
+    )
+
+
+def exact_displacement(X: Any, t: Any, c: Any) -> Any:
+    """Displacement of the membrane at reference positions X and a time; c as in :func:`exact_flow`."""
+    return c.V * t * (c.L * X[1] - X[1] ** 2) * unit(0, len(X))
+
+
+def membrane_load(X: Any, t: Any, c: Any) -> Any:
+    """Force per reference area that closes the membrane's balance: inertia is zero, stresses and traction are not.
+
+    Args:
+        X: reference position on the membrane.
+        t: time.
+        c: the problem's data, as numbers or Constants.
+    """
+    dY, ddY, a = c.L - 2 * X[1], -2.0, c.V * t
+    g = 1 + (a * dY) ** 2
+    K = c.youngs_modulus * c.thickness / (1 - c.poisson_ratio**2)
+    shear = c.mu * g * c.V / c.L
+    e_1, e_2 = unit(0, len(X)), unit(1, len(X))
+    traction = c.DP * (e_1 - a * dY * e_2) + shear * (a * dY * e_1 + e_2)
+    elastic = (1.5 * K * a**3 * dY**2 + c.prestress * a) * ddY * e_1 + K * a**2 * dY * ddY * e_2
+    return -elastic - traction
+
+
+def cells_per_side(level: int) -> int:
+    """Fluid cells along a side of the square."""
+    return 3 * 2 ** checks.whole("level", level, 0)
+
+
+def square(comm: MPI.Comm, data: Data, d: int, level: int) -> mesh.Mesh:
+    """The fluid's mesh at a refinement level.
+
+    Args:
+        comm: communicator.
+        data: of the problem.
+        d: dimension of space, 2 or 3 (one layer).
+        level: refinement level.
+
+    Returns:
+        Triangles or tetrahedra.
+    """
+    N = cells_per_side(level)
+    slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
+    corners = np.array([[-slack] * 3, [data.L + slack, data.L + slack, data.H + slack]])[:, :d]
+    if d == 2:
+        return mesh.create_rectangle(comm, corners, [N, N], mesh.CellType.triangle)
+    return mesh.create_box(comm, list(corners), [N, N, 1], mesh.CellType.tetrahedron)
+
+
+def on_extrusion_ends(x: Any, data: Data) -> Any:
+    """Mask of the points on x_3 = 0 and x_3 = H."""
+    return np.isclose(x[2], 0.0, atol=1e-6 * data.L) | np.isclose(x[2], data.H, atol=1e-6 * data.L)
+
+
+def on_sides(data: Data) -> list[Any]:
+    """Masks of the points on the four sides x_1, x_2 = 0, L, one function for each."""
+    places = [(i, value) for i in (0, 1) for value in (0.0, data.L)]
+    return [lambda x, i=i, value=value: np.isclose(x[i], value, atol=1e-6 * data.L) for i, value in places]
+
+
+def membrane(data: Data, d: int, elements: int, dt: float, projected: bool) -> ShellSubproblem:
+    """The membrane: linear B-splines, fixed ends, no bending; nothing moves along the direction of an extrusion.
+
+    Args:
+        data: of the problem.
+        d: dimension of space.
+        elements: of the line.
+        dt: time step.
+        projected: whether the velocity at t = 0 is projected, as in the published code, or interpolated.
+    """
+    corner = (data.L / 2, 0.0, 0.0)
+    if d == 2:
+        patch = shapes.line(corner[:2], (data.L / 2, data.L), elements=elements)
+    else:
+        sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
+        patch = shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
+    along = np.arange(2, d * patch.basis.n, 3) if d == 3 else np.arange(0)
+    zero_dofs = np.concatenate([patch.side_dofs("u0"), patch.side_dofs("u1"), along])
+    spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
+    c = constants(spline.mesh, data)
+    speed = exact_displacement(spline.F, 1.0, c)
+    if projected:
+        velocity = spline.project(speed)
+    else:
+        s = patch.points[:, 1]
+        velocity = spline.function(np.outer(data.V * (data.L * s - s**2), np.eye(d)[0]))
+
+    y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
+    scheme = generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True)
+    time = TimeIntegrator(y, dt, scheme, xdot=velocity)
+    prestress = (c.prestress,) if d == 2 else (c.prestress, 0.0, 0.0)
+    material = StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=prestress, bending=False)
+    residual = virtual_work(spline, lambda y: strain_energy(spline, material, y), time.x_alpha, z)
+    residual += inertia(spline, time.xddot_alpha, z, density=c.rho_s, thickness=c.thickness)
+    residual += dead_load(spline, membrane_load(spline.F, time.t_alpha, c), z)
+    return ShellSubproblem(spline, residual, time, solver=direct("petsc"))
+
+
+def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, float]:
+    """Norms of the errors per unit depth; the gradient is compared side by side.
+
+    Args:
+        fsi: coupled run of this problem; the flow's unknown has d components of the velocity, then the pressure.
+        data: of the problem.
+        t: time of the present state.
+        degree: of the quadrature in the fluid.
+
+    Returns:
+        L2 and H1 norms by name.
+    """
+    domain, spline = fsi.mesh_f, fsi.spline_sh
+    d, w, y = domain.geometry.dim, fsi.timeInt_f.x, fsi.timeInt_sh.x
+    v, p = ufl.as_vector([w[i] for i in range(d)]), w[d]
+    exact = exact_flow(ufl.SpatialCoordinate(domain), t, constants(domain, data))
+    dx = ufl.dx(domain=domain, metadata={"quadrature_degree": degree})
+    e_y = y - exact_displacement(spline.F, t, constants(spline.mesh, data))
+    forms = compat.compile_forms(
+        ufl.inner(v - exact.u, v - exact.u) * dx,
+        ufl.inner(ufl.grad(v) - exact.grad_u, ufl.grad(v) - exact.grad_u) * dx,
+        (p - exact.p) ** 2 * dx,
+        ufl.inner(e_y, e_y) * spline.dx,
+        ufl.inner(spline.grad(e_y), spline.grad(e_y)) * spline.dx,
+    )
+    names = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
+    depth = 1.0 if d == 2 else data.H
+    return {name: (compat.assemble_scalar(form) / depth) ** 0.5 for name, form in zip(names, forms, strict=True)}
