@@ -17,7 +17,8 @@ from tigar_x.fem.linear import direct
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.geometry import shapes
-from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline

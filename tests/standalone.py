@@ -13,7 +13,7 @@ from shnapr.work import strain_energy, virtual_work
 from tigar_x.fem.eigen import eigenmodes
 from tigar_x.fem.solve import newton
 from tigar_x.geometry import shapes, surfaces
-from tigar_x.geometry.multipatch import glued
+from tigar_x.geometry.gluing import glued
 from tigar_x.splines.spline import ExtractedSpline
 from tigar_x.splines.spline_system import SplineSystem, solve_linear
 

@@ -5,7 +5,7 @@ import pytest
 
 from shnapr.supports import clamped, fixed, pinned
 from tigar_x.geometry import shapes, surfaces
-from tigar_x.geometry.multipatch import glued
+from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.constraints import no_rotation
 

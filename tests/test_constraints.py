@@ -12,7 +12,8 @@ from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, open_knots
-from tigar_x.geometry.multipatch import as_multipatch, disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import as_multipatch, disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.constraints import no_rotation, null_space, smooth_joints, symmetry, tied
 from tigar_x.splines.spline import ExtractedSpline

@@ -11,7 +11,8 @@ from shnapr import contact
 from shnapr.contact import LinearKernel, SelfContact, SmoothedKernel
 from tigar_x.fem.linear import SolveError
 from tigar_x.geometry import shapes
-from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import disjoint
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline
 

@@ -15,8 +15,9 @@ from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work, strain_energy
 from tigar_x.geometry import shapes, surfaces
 from tigar_x.geometry.bspline import BSplineBasis
+from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.lines import folds
-from tigar_x.geometry.multipatch import as_multipatch, disjoint, glued
+from tigar_x.geometry.multipatch import as_multipatch, disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.constraints import no_rotation, null_space, smooth_joints, smooth_lines
 from tigar_x.splines.spline import ExtractedSpline

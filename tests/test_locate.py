@@ -7,8 +7,9 @@ from splines import PATCHES, half_disc
 
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, TensorBasis, open_knots, periodic_knots
+from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.locate import closest_points
-from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
 
 

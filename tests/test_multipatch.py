@@ -11,7 +11,8 @@ from splines import energy, half_disc, poisson, quarter, radial, rectangle, turn
 
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, open_knots
-from tigar_x.geometry.multipatch import MultiPatch, as_multipatch, disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import MultiPatch, as_multipatch, disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -117,7 +118,7 @@ def test_control_points_off_an_edge_are_not_glued_to_a_corner():
 
 
 def said(caplog, level):
-    return [r.getMessage() for r in caplog.records if r.name == "tigar_x.geometry.gluing" and r.levelno == level]
+    return [r.getMessage() for r in caplog.records if r.name == "tigar_x.geometry.joints" and r.levelno == level]
 
 
 def test_what_is_joined_is_said(caplog):

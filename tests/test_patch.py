@@ -8,8 +8,8 @@ from geometry import grid
 from coudalfish.surface.trace import Location
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, open_knots, periodic_knots
+from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.locate import closest_points
-from tigar_x.geometry.multipatch import glued
 from tigar_x.geometry.patch import SIDES, Patch
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline

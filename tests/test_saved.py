@@ -11,7 +11,7 @@ from mpi4py import MPI
 from splines import WORLD, integral, quarter
 
 from tigar_x.geometry.bspline import BSplineBasis, open_knots
-from tigar_x.geometry.multipatch import glued
+from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.patch import Patch
 from tigar_x.ranks import on_root
 from tigar_x.splines.constraints import smooth_joints

@@ -15,7 +15,8 @@ from coudalfish.surface import exchange
 from coudalfish.surface.multiplier import SheetMeans, apart, carried_over
 from coudalfish.surface.sheets import Sheets
 from tigar_x.geometry import shapes
-from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.spline import ExtractedSpline
 

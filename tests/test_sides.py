@@ -9,7 +9,8 @@ from splines import PATCHES, energy, half_disc, integral, quarter, radial, recta
 
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, open_knots
-from tigar_x.geometry.multipatch import disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.spline import ExtractedSpline
 from tigar_x.splines.spline_system import SplineSystem, solve_linear

@@ -19,7 +19,8 @@ from splines import (
 from tigar_x import compat
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, open_knots
-from tigar_x.geometry.multipatch import as_multipatch, disjoint, glued
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import as_multipatch, disjoint
 from tigar_x.geometry.patch import Patch
 from tigar_x.splines.constraints import tied
 from tigar_x.splines.quadrature import NodalQuadrature

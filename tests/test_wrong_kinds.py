@@ -18,7 +18,7 @@ from tigar_x.fem.eigen import eigenmodes
 from tigar_x.fem.schemes import backward_euler, generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem
 from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
-from tigar_x.geometry import bspline, multipatch, shapes, surfaces
+from tigar_x.geometry import bspline, gluing, shapes, surfaces
 from tigar_x.geometry.patch import Patch
 from tigar_x.run.convergence import doubled
 from tigar_x.splines import constraints
@@ -166,7 +166,7 @@ CASES = {
     "refined": (lambda parts: PLATE.refined(parts), dict(parts=("whole", 2))),
     "with degree": (lambda degrees: PLATE.with_degree(degrees), dict(degrees=("whole", 3))),
     "dofs": (lambda functions: PLATE.dofs(functions), dict(functions=("dofs", [0, 1]))),
-    "glued": (lambda **g: multipatch.glued(PLATE, **g), dict(tolerance=("number", 1e-8), within=("flag", False))),
+    "glued": (lambda **g: gluing.glued(PLATE, **g), dict(tolerance=("number", 1e-8), within=("flag", False))),
     "tied": (lambda **g: constraints.tied(n=9, **g), dict(dofs=("dofs", [0]), to=("dofs", [1]))),
     "extracted spline": (
         lambda **g: ExtractedSpline(LINE, MPI.COMM_SELF, **g),

@@ -22,8 +22,8 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
+from tigar_x.fem.extracted import Extracted, extracted_matrix
 from tigar_x.fem.linear import SolveError
-from tigar_x.splines.space import Extracted, extracted_matrix
 
 _EPS = float(np.finfo(np.float64).eps)
 _SAME = 1e-8  # relative difference of distances to the shift that may be rounding

@@ -7,15 +7,12 @@ Matthies and Strang, doi:10.1002/nme.1620141104.
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from petsc4py import PETSc
 
 from tigar_x import checks
 from tigar_x.fem.linear import SolveError
-
-if TYPE_CHECKING:
-    from tigar_x.fem.newton import System
 
 _MARGIN = 0.2  # of the interval, that the secant keeps from both ends: g grows with a high power of s in thin shells
 
@@ -43,7 +40,21 @@ class LineSearch:
         checks.whole("evaluations", self.evaluations, 1)
 
 
-def search(system: "System", increment: PETSc.Vec, norm: float, options: LineSearch) -> tuple[float, float]:
+class Movable(Protocol):
+    """What a line search needs to know of a nonlinear problem."""
+
+    @property
+    def b(self) -> PETSc.Vec:
+        """Residual of the last assembly."""
+
+    def assemble_residual(self) -> float:
+        """Assemble the residual at the present state and return its norm."""
+
+    def subtract(self, increment: PETSc.Vec) -> None:
+        """Move the state by minus the increment."""
+
+
+def search(system: Movable, increment: PETSc.Vec, norm: float, options: LineSearch) -> tuple[float, float]:
     """Move the state by minus an acceptable multiple of the increment.
 
     Shorter steps come from the secant of g where it changes sign, kept off the ends of the interval, and from halving
@@ -80,7 +91,7 @@ def search(system: "System", increment: PETSc.Vec, norm: float, options: LineSea
     raise SolveError(f"line search: no step length from 1 to {at:.1e} reduces the residual {norm:.3e}")
 
 
-def _move(system: "System", increment: PETSc.Vec, distance: float) -> None:
+def _move(system: Movable, increment: PETSc.Vec, distance: float) -> None:
     """Subtract a multiple of the increment, which needs no second vector."""
     increment.scale(distance)
     system.subtract(increment)

@@ -13,34 +13,24 @@ from petsc4py import PETSc
 
 from tigar_x import checks
 from tigar_x.fem import rounding
-from tigar_x.fem.line_search import LineSearch, search
+from tigar_x.fem.line_search import LineSearch, Movable, search
 from tigar_x.fem.linear import SolveError
 
 log = logging.getLogger(__name__)
 
 
-class System(Protocol):
-    """What the Newton loop needs to know of a nonlinear problem."""
-
-    @property
-    def b(self) -> PETSc.Vec:
-        """Residual of the last assembly; only a line search looks at it."""
+class System(Movable, Protocol):
+    """What the Newton loop needs to know of a nonlinear problem; only a line search looks at the residual itself."""
 
     @property
     def has_tangent(self) -> bool:
         """Whether a tangent has been assembled; only asked for where tangents are kept."""
-
-    def assemble_residual(self) -> float:
-        """Assemble the residual at the present state and return its norm."""
 
     def assemble_tangent(self) -> None:
         """Assemble the tangent at the present state."""
 
     def solve(self) -> PETSc.Vec:
         """Solve for the increment of the present residual."""
-
-    def subtract(self, increment: PETSc.Vec) -> None:
-        """Move the state by minus the increment."""
 
 
 @dataclass(frozen=True)

@@ -1,182 +1,134 @@
-"""What gluing has joined: sides that touch without being the same are refused, others that come near are told of."""
+"""Patches that become one geometry where their corners, edges and faces coincide."""
 
-import logging
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tigar_x.compat import FloatArray, IntArray
-from tigar_x.geometry.locate import closest_points
+from tigar_x import checks
+from tigar_x.compat import IntArray
+from tigar_x.geometry import joints
+from tigar_x.geometry.multipatch import TOLERANCE, MultiPatch
 from tigar_x.geometry.patch import Patch
 
-if TYPE_CHECKING:
-    from tigar_x.geometry.multipatch import MultiPatch
-
-log = logging.getLogger(__name__)
-
-SAME_FUNCTION = 1e-6
-"""Functions that differ by less along a joint are the same."""
-INSIDE = np.array([0.13, 0.42, 0.77])
-"""Where a Bezier element of a side is compared with other sides; not at points that are likely to be special."""
-NEAR = 1e-2
-"""Distance of sides that looks like a mistake, relative to their lengths and to the widths of their patches."""
-NAMED = 8
-"""How many joints a message names."""
+ALL = slice(None)
 
 
-def check_sides(geometry: "MultiPatch", tolerance: float, within: bool, kept: set[tuple[int, int, int]]) -> None:
-    """Refuse sides that touch along a part but do not have the same functions there.
+def glued(
+    *patches: Patch, tolerance: float = TOLERANCE, within: bool = False, keep_open: Sequence[tuple[int, str]] = ()
+) -> MultiPatch:
+    """Patches whose coincident corners, edges and faces become one (C0), whatever their order and orientation.
+
+    Functions are numbered by the position of their control points' first appearance, so the order of the patches
+    permutes numbers and nothing else. The log tells what is joined, and warns of sides that come near each other but
+    not near enough.
 
     Args:
-        geometry: glued patches.
-        tolerance: distance that counts as none, relative to the size of the model.
-        within: whether sides of one patch may be glued.
-        kept: sides (patch, direction, end) that are open on purpose.
+        patches: the patches.
+        tolerance: distance of control points that counts as none, relative to the size of the model.
+        within: whether coincident boundary points of one patch are glued as well: a degenerate edge, such as a pole,
+            becomes one function, and a patch that closes on itself becomes a ring.
+        keep_open: sides that stay a boundary although another side lies in the same place, such as one bank of a slit
+            (of all patches along it, the same bank): patch and name of each. Their ends are joined where further
+            joints lead there, as at the tip of a slit.
+
+    Returns:
+        The geometry.
 
     Raises:
-        ValueError: there are such sides.
+        ValueError: no patch, patches of different dimensions, sides that touch but do not have the same functions:
+            other control points, ratios of weights, degrees or knots, or one longer than the other; or a side of
+            ``keep_open`` that would not be glued.
     """
-    if geometry.dim == 1:
-        return
-    sides = [_Side.of(geometry, *place) for place in geometry.open_sides if place not in kept]
-    slack = tolerance * geometry.size
-    for i, side in enumerate(sides):
-        for other in sides[:i]:
-            if other.place[0] == side.place[0] and not within:
-                continue
-            if _differ(side, other, slack, geometry) or _differ(other, side, slack, geometry):
-                hint = "".join(f"; {text}" for text in _near(geometry, other.place, side.place))
-                raise ValueError(
-                    f"{other.name} and {side.name} touch but do not have the same functions: the same control points, "
-                    f"weights, degrees and knots are required{hint}"
-                )
+    checks.positive("tolerance", tolerance)
+    checks.flag("within", within)
+    apart = MultiPatch(patches)
+    labels = _coincidence(apart, tolerance)
+    kept = _kept_open(apart, labels, within, keep_open)
+    bank = np.zeros(apart.n, dtype=bool)
+    groups: dict[bytes, list[tuple[int, IntArray]]] = {}
+    for k, patch in enumerate(patches):
+        for sides, part in _boundary_parts(patch):
+            raw = apart.functions.offsets[k] + part
+            if any((k, *side) in kept for side in sides):
+                bank[raw] = True
+            else:
+                groups.setdefault(np.unique(labels[raw]).tobytes(), []).append((k, raw))
+    pairs = [np.empty((2, 0), dtype=np.int32)]
+    for members in groups.values():
+        if within or len({k for k, _ in members}) > 1:
+            pairs += _joined([raw for _, raw in members], labels, bank)
+    geometry = MultiPatch(patches, _components(np.concatenate(pairs, axis=1), apart.n))
+    joints.check_sides(geometry, tolerance, within, kept)
+    joints.report(geometry, tolerance, within, kept)
+    return geometry
 
 
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """A side of a patch as a geometry of its own.
+def _kept_open(
+    apart: MultiPatch, labels: IntArray, within: bool, keep_open: Sequence[tuple[int, str]]
+) -> set[tuple[int, int, int]]:
+    """Patch, direction and end of sides that are not to be glued; each coincides with another one that might be."""
+    kept: set[tuple[int, int, int]] = set()
+    for i, (k, name) in enumerate(keep_open):
+        (place,) = apart.locate_sides([name], k)
+        own = np.unique(labels[apart.side_functions(*place)])
+        others = [side for side in apart.open_sides if side != place and (within or side[0] != k)]
+        if not any(np.array_equal(own, np.unique(labels[apart.side_functions(*side)])) for side in others):
+            raise ValueError(f"keep_open[{i}] = {(k, name)}: no other side is in that place, it would not be glued")
+        kept.add(place)
+    return kept
 
-    Attributes:
-        place: its patch, direction and end.
-        name: what messages call it.
-        shape: the side.
-        numbers: its functions among those of the whole geometry.
-        xi: samples inside its Bezier elements.
-        x: their positions.
+
+def _joined(members: list[IntArray], labels: IntArray, bank: NDArray[np.bool_]) -> list[IntArray]:
+    """Pairs of functions of coincident corners, edges or faces that become one, each of shape (2, pairs).
+
+    Where an open bank ends at an edge that closes on itself, two functions of one member have one label: they stay
+    apart, each with those of the same bank of the other members, unless the member has collapsed or another one is
+    closed there.
     """
-
-    place: tuple[int, int, int]
-    name: str
-    shape: Patch
-    numbers: IntArray
-    xi: FloatArray
-    x: FloatArray
-
-    @classmethod
-    def of(cls, geometry: "MultiPatch", k: int, direction: int, end: int) -> "_Side":
-        """Side of a patch by its direction and end."""
-        patch = geometry.patches[k]
-        own = patch.side_functions(0, direction, end)
-        numbers = geometry.functions.global_numbers(k, own)
-        bases = tuple(basis for d, basis in enumerate(patch.bases) if d != direction)
-        shape = Patch.from_points(bases, geometry.points[numbers], patch.weights[own])
-        ticks = [(b.breakpoints[:-1, None] + np.diff(b.breakpoints)[:, None] * INSIDE).ravel() for b in bases]
-        xi = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, len(bases))
-        return cls((k, direction, end), side_name(k, direction, end), shape, numbers, xi, shape.evaluate(xi))
-
-    def functions(self, xi: FloatArray, geometry: "MultiPatch") -> sp.csr_matrix:
-        """Rational functions of the geometry at parameters of the side, shape (m, n)."""
-        N = self.shape.basis.evaluate(xi)
-        N = sp.diags(1.0 / (N @ self.shape.weights)) @ N @ sp.diags(self.shape.weights)
-        place = (np.arange(len(self.numbers)), self.numbers)
-        return N @ sp.csr_matrix((np.ones(len(self.numbers)), place), shape=(len(self.numbers), geometry.n))
+    raw = np.concatenate(members)
+    owner = np.repeat(np.arange(len(members)), [len(member) for member in members])
+    point = [np.ptp(labels[member]) == 0 for member in members]
+    key = 2 * labels[raw].astype(np.int64)
+    for label in np.unique(labels[raw[bank[raw]]]):
+        here = labels[raw] == label
+        on, off = (np.unique(owner[here & side]) for side in (bank[raw], ~bank[raw]))
+        if len(off) and np.isin(off, on).all() and not any(point[i] for i in on):
+            key[here & bank[raw]] += 1
+    order = np.argsort(key, kind="stable")
+    raw, same = raw[order], np.diff(key[order]) == 0
+    return [np.stack([raw[:-1][same], raw[1:][same]])]
 
 
-def _differ(one: _Side, other: _Side, slack: float, geometry: "MultiPatch") -> bool:
-    """Whether samples of one side lie on the other one where that has other functions."""
-    low, high = other.shape.points.min(axis=0) - slack, other.shape.points.max(axis=0) + slack
-    near = ((one.x >= low) & (one.x <= high)).all(axis=1)
-    if not near.any() or np.ptp(one.x, axis=0).max() <= slack:
-        return False
-    xi, x = one.xi[near], one.x[near]
-    closest = closest_points(other.shape, x)
-    touching = closest.distance <= slack
-    if not touching.any():
-        return False
-    gap = one.functions(xi[touching], geometry) - other.functions(closest.xi[touching], geometry)
-    return bool(np.abs(gap).max() > SAME_FUNCTION)
+def _coincidence(apart: MultiPatch, tolerance: float) -> IntArray:
+    """A label for every raw function, the same where boundary control points coincide."""
+    if not apart.open_sides:
+        return np.arange(apart.n, dtype=np.int32)
+    raw = np.unique(np.concatenate([apart.side_functions(*side) for side in apart.open_sides]))
+    return _components(
+        raw[cKDTree(apart.relative_points[raw]).query_pairs(tolerance, output_type="ndarray")].T, apart.n
+    )
 
 
-def report(geometry: "MultiPatch", tolerance: float, within: bool, kept: set[tuple[int, int, int]]) -> None:
-    """Log what is joined, and warn of sides that come near each other without being joined.
-
-    Args:
-        geometry: glued patches.
-        tolerance: distance that counted as none, relative to the size of the model.
-        within: whether sides of one patch may be glued.
-        kept: sides (patch, direction, end) that are open on purpose.
-    """
-    sides = [side for side in geometry.open_sides if not geometry.collapsed(*side)]
-    keys = [geometry.side_functions(*side).tobytes() for side in sides]
-    names, near = [], []
-    for i, side in enumerate(sides):
-        for j, other in enumerate(sides[:i]):
-            if keys[i] == keys[j]:
-                names.append(f"{side_name(*other)} and {side_name(*side)}")
-            elif (within or side[0] != other[0]) and not {side, other} & kept:
-                near += _near(geometry, other, side)
-    merged = sum(patch.n for patch in geometry.patches) - geometry.n
-    if names or merged:
-        more = [f"{len(names) - NAMED} more"] if len(names) > NAMED else []
-        joints = ": " + ", ".join(names[:NAMED] + more) if names else ""
-        log.info("glued: %d joints, %d control points less%s", len(names), merged, joints)
-    elif len(geometry.patches) > 1:
-        log.warning(
-            "glued: nothing is joined: no control points of the %d patches are within tolerance = %g of the model's "
-            "size, %g",
-            len(geometry.patches),
-            tolerance,
-            geometry.size,
-        )
-    for text in near:
-        log.warning("glued: %s", text)
+def _components(pairs: IntArray, n: int) -> IntArray:
+    """Numbers from 0 without gaps, in the order of first appearance, equal for what pairs connect, shape (n,)."""
+    graph = sp.coo_matrix((np.ones(pairs.shape[1]), tuple(pairs)), shape=(n, n))
+    labels = connected_components(graph, directed=False)[1]
+    return np.asarray(np.unique(labels, return_index=True)[1].argsort().argsort()[labels], dtype=np.int32)
 
 
-def _near(geometry: "MultiPatch", one: tuple[int, int, int], other: tuple[int, int, int]) -> list[str]:
-    """What to say of two sides that are not joined: nothing unless one lies along the other from end to end."""
-    x, y = (geometry.points[geometry.side_functions(*side)] for side in (one, other))
-    reach = NEAR * min(_width(geometry, one), _width(geometry, other))
-    if (x.min(axis=0) > y.max(axis=0) + reach).any() or (y.min(axis=0) > x.max(axis=0) + reach).any():
-        return []
-    pair = f"{side_name(*one)} and {side_name(*other)}"
-    gap = max(cKDTree(y).query(x)[0].max(), cKDTree(x).query(y)[0].max())
-    if len(x) == len(y) and gap <= reach:
-        spacing = min(cKDTree(z).query(z, 2)[0][:, 1].min() for z in (x, y))
-        needed = 1.1 * gap / geometry.size
-        text = f"{pair} come within {gap:.3g} of each other and are not joined: "
-        if gap < 0.4 * spacing:
-            return [text + f"tolerance = {needed:.1e} would do if they are meant to be one"]
-        return [text + "their control points lie too dense for any tolerance to join the right ones"]
-    for (side, z), (beside, hull) in (((one, x), (other, y)), ((other, y), (one, x))):
-        if geometry.dim > 1 and (z >= hull.min(axis=0) - reach).all() and (z <= hull.max(axis=0) + reach).all():
-            samples, shape = _Side.of(geometry, *side).x, _Side.of(geometry, *beside).shape
-            gap = closest_points(shape, samples).distance.max()
-            if gap <= reach:
-                return [f"{pair} come within {gap:.3g} of each other and do not have the same functions: not joined"]
-    return []
-
-
-def _width(geometry: "MultiPatch", side: tuple[int, int, int]) -> float:
-    """The length of a side, or the distance to the side opposite if that is less."""
-    k, direction, end = side
-    own, opposite = (geometry.points[geometry.side_functions(k, direction, e)] for e in (end, 1 - end))
-    across = float(cKDTree(own).query(opposite)[0].max())
-    return across if geometry.dim == 1 else min(across, float(np.linalg.norm(np.ptp(own, axis=0))))
-
-
-def side_name(patch: int, direction: int, end: int) -> str:
-    """What messages call a side."""
-    return f"side {'uvw'[direction]}{end} of patch {patch}"
+def _boundary_parts(patch: Patch) -> list[tuple[list[tuple[int, int]], IntArray]]:
+    """Corners, edges and faces of a patch: the sides (direction and end) that each lies on, and its functions."""
+    grid = np.arange(patch.n, dtype=np.int32).reshape([basis.n for basis in patch.bases], order="F")
+    ends: list[tuple[Any, ...]] = [(ALL,) if basis.periodic else (ALL, 0, -1) for basis in patch.bases]
+    found = []
+    for place in product(*ends):
+        sides = [(d, 0 if end == 0 else 1) for d, end in enumerate(place) if end is not ALL]
+        if sides:
+            found.append((sides, grid[place].ravel()))
+    return found

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.geometry.bspline import BSplineBasis, TensorBasis
-from tigar_x.geometry.gluing import side_name
+from tigar_x.geometry.joints import side_name
 from tigar_x.geometry.multipatch import MultiPatch
 from tigar_x.geometry.patch import Patch
 

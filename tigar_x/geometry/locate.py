@@ -1,9 +1,6 @@
 """Closest points of a spline geometry."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +8,8 @@ from scipy.spatial import cKDTree
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.geometry.multipatch import MultiPatch
 from tigar_x.geometry.patch import Patch
-
-if TYPE_CHECKING:
-    from tigar_x.geometry.multipatch import MultiPatch
 
 SAMPLES = 4
 """Parts of a Bezier element in every direction, between the samples that the search starts from."""

@@ -191,7 +191,7 @@ def smooth_joints(geometry: MultiPatch, size: int | None = None, *, tolerance: f
     and b are the weights of the two rows over those of the joint, as between arcs of a circle, or 1 where they vary.
 
     Args:
-        geometry: glued patches (:func:`tigar_x.geometry.multipatch.glued`).
+        geometry: glued patches (:func:`tigar_x.geometry.gluing.glued`).
         size: number of components of the field; None: ``nsd``.
         tolerance: allowed departure of the geometry from collinearity, relative to its size.
 

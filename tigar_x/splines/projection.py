@@ -1,6 +1,6 @@
 """Projection onto spline spaces: least squares fits, and the cheap lumped one."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import ufl
@@ -10,11 +10,11 @@ from petsc4py import PETSc
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
+from tigar_x.fem.extracted import extracted_matrix
 from tigar_x.fem.linear import PreparedSolver, direct
-from tigar_x.splines.space import SplineSpace, extracted_matrix
-
-if TYPE_CHECKING:
-    from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.geometry.patch import ControlNet
+from tigar_x.splines.measures import SplineMeasure
+from tigar_x.splines.space import SplineSpace
 
 
 def fit(space: SplineSpace, mass: ufl.Form, load: ufl.Form, dofs: ArrayLike | None = None) -> fem.Function:
@@ -59,6 +59,27 @@ def fit(space: SplineSpace, mass: ufl.Form, load: ufl.Form, dofs: ArrayLike | No
     return result
 
 
+class Projectable(Protocol):
+    """What a projection needs of a spline, such as :class:`tigar_x.splines.spline.ExtractedSpline`."""
+
+    @property
+    def geometry(self) -> ControlNet:
+        """Its control points and weights."""
+
+    @property
+    def dx(self) -> SplineMeasure:
+        """Measure of the physical reference configuration."""
+
+    def free(self, size: int) -> SplineSpace:
+        """Isoparametric space of a number of components without any condition."""
+
+    def rationalize(self, u: Any) -> Any:
+        """Physical field of a homogeneous one."""
+
+    def nodal(self, u: fem.Function) -> FloatArray:
+        """Physical values of a homogeneous field at the nodes, shape (nodes, components)."""
+
+
 class LumpedProjector:
     """Lumped projection of physical fields onto the spline space.
 
@@ -69,7 +90,7 @@ class LumpedProjector:
         size: number of components of the fields; 1: scalars.
     """
 
-    def __init__(self, spline: "ExtractedSpline", size: int) -> None:
+    def __init__(self, spline: Projectable, size: int) -> None:
         self.spline = spline
         self.space = spline.free(size)
         self._b = compat.create_vector(self.space.V)

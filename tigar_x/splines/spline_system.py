@@ -11,8 +11,8 @@ from petsc4py import PETSc
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem import rounding
+from tigar_x.fem.extracted import Extracted
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, direct
-from tigar_x.splines.space import Extracted
 
 
 class SplineSystem:
