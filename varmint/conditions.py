@@ -74,7 +74,7 @@ class Fields:
             ValueError: it is not a finite vector of shape (d,).
         """
         domain, motion = self.mesh.domain, self.motion_end if end else self.motion
-        values = given(name, data, ale.position(domain, motion), self.t if end else self.t_alpha)
+        values = compat.given(name, data, ale.position(domain, motion), self.t if end else self.t_alpha)
         return checks.vector(name, values, self.d)
 
     def mesh_velocity(self, *, end: bool = False) -> Any:
@@ -85,18 +85,6 @@ class Fields:
     def ds(self, on: tuple[str, ...]) -> ufl.Measure:
         """Measure of facet groups."""
         return self.mesh.ds(*on, degree=self.degree)
-
-
-def given(name: str, data: Any, x: Any, t: Any) -> Any:
-    """Data as they are, or what a callable makes of position and time.
-
-    Args:
-        name: what messages call it.
-        data: UFL, numbers or a callable.
-        x: position.
-        t: time.
-    """
-    return compat.ask(name, data, x, t) if callable(data) and not isinstance(data, ufl.core.expr.Expr) else data
 
 
 def _groups(on: str | Sequence[str]) -> tuple[str, ...]:

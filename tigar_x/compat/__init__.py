@@ -63,7 +63,7 @@ from tigar_x.compat.spaces import (
     tabulate,
     tabulate_gradients,
 )
-from tigar_x.compat.symbols import Constant, ask
+from tigar_x.compat.symbols import Constant, ask, given, is_function
 
 __all__ = [
     "VERSION",
@@ -88,6 +88,8 @@ __all__ = [
     "tabulate_gradients",
     "Constant",
     "ask",
+    "given",
+    "is_function",
     "bounding_box_tree",
     "candidate_cells",
     "cell_name",

@@ -88,3 +88,23 @@ def ask(name: str, function: Callable[..., Any], *arguments: Any, passing: tuple
             " expression of UFL expressions: ufl.sin(t) in place of math.sin(t) or numpy.sin(t), and"
             " ufl.conditional(ufl.lt(t, 1.0), a, b) in place of 'a if t < 1.0 else b'"
         ) from error
+
+
+def is_function(data: Any) -> bool:
+    """Whether data are a user's function, and no UFL expression, which can be called as well."""
+    return callable(data) and not isinstance(data, Expr)
+
+
+def given(name: str, data: Any, x: Any, t: Any) -> Any:
+    """Data as they are, or what a user's function makes of position and time.
+
+    Args:
+        name: what messages call it.
+        data: UFL, numbers or a function.
+        x: position.
+        t: time.
+
+    Raises:
+        ValueError: the function treats UFL expressions as numbers.
+    """
+    return ask(name, data, x, t) if is_function(data) else data

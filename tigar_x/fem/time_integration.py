@@ -331,6 +331,11 @@ class LoadStepper:
         self._dt = checks.positive("dt", value)
         self.t.value = self._t_n + self._dt
 
+    def resume(self, t: float) -> None:
+        """Take x as the state at another pseudo-time, which ``t`` is then as well, as after a load was followed."""
+        self._t_n = checks.finite("t", t)
+        self.t.value = self._t_n
+
     def advance(self) -> None:
         """Accept x as the state at t and go on to the next load step."""
         self._t_n = float(self.t.value)

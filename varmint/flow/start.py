@@ -12,7 +12,7 @@ from tigar_x.fem.linear import SolveError
 from tigar_x.fem.projection import project
 from tigar_x.fem.solve import FiniteElementSystem, newton
 from tigar_x.fem.time_integration import TimeIntegrator
-from varmint.conditions import Data, given
+from varmint.conditions import Data
 from varmint.flow.options import FlowError
 from varmint.flow.state import FlowState
 from varmint.forms.ale import divergence, per_volume
@@ -26,7 +26,7 @@ def set_state(state: FlowState, velocity: Data, pressure: Any, *, projected: boo
     if state.moving is not None:
         x = x + state.moving.time.x_old
     t = compat.Constant(domain, 0.0 if state.time is None else state.time.time)
-    u, p = given("velocity", velocity, x, t), given("pressure", pressure, x, t)
+    u, p = compat.given("velocity", velocity, x, t), compat.given("pressure", pressure, x, t)
     components = [0.0] * d if u is None else list(checks.vector("velocity", u, d))
     checks.parameter("pressure", 0.0 if p is None else p, checks.finite)
     values = ufl.as_vector([*components, 0.0 if p is None else p])

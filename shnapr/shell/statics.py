@@ -1,0 +1,102 @@
+"""Equilibrium of a shell along its load."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mpi4py import MPI
+
+from shnapr.shell.options import ShellOptions, newton_options
+from tigar_x import checks
+from tigar_x.fem.linear import SolveError
+from tigar_x.fem.load_stepping import LoadReport, StepControl, follow_load
+from tigar_x.fem.newton import newton
+from tigar_x.fem.time_integration import LoadStepper
+from tigar_x.ranks import agreed
+from tigar_x.splines.spline_system import SplineSystem
+
+
+class Statics:
+    """Moves the load factor of a static shell, and its displacement with it.
+
+    Args:
+        system: the shell; its unknown is that of the factor.
+        factor: load factor of the present state.
+        updates: called with the load factor before every attempt.
+        copies: ranks that hold the same shell.
+    """
+
+    def __init__(
+        self, system: SplineSystem, factor: LoadStepper, updates: Sequence[Callable[[float], None]], copies: MPI.Comm
+    ) -> None:
+        self._system, self._factor, self._updates, self._copies = system, factor, updates, copies
+        self._y = factor.x.x.array
+
+    def solve(
+        self,
+        until: float,
+        options: ShellOptions,
+        *,
+        step: float | None,
+        control: StepControl | None,
+        extrapolate: bool,
+        each: Callable[[float], None] | None,
+    ) -> LoadReport:
+        """See :meth:`shnapr.shell.Shell.solve`.
+
+        Raises:
+            SolveError: the load was not reached.
+        """
+        factor = self._factor
+        chosen = newton_options(options, self._system) | {"reference": self._full_load() or None}
+        if checks.finite("until", until) <= factor.time:
+            return self._again(until, each, chosen)
+        first = factor.step_size = until - factor.time if step is None else step
+        control = StepControl(smallest=1e-3 * first, largest=first) if control is None else control
+        return follow_load(
+            self._system, factor, until=until, control=control, updates=self._updates, each=each,
+            extrapolate=extrapolate, comm=self._copies, **chosen,
+        )  # fmt: skip
+
+    def solve_linear(self) -> None:
+        """See :meth:`shnapr.shell.Shell.solve_linear`.
+
+        Raises:
+            SolveError: the linear solver failed.
+        """
+        system = self._system
+        self._factor.resume(1.0)
+        self._load(1.0)
+        self._y[:] = 0.0
+        system.assemble_residual()
+        system.assemble_tangent()
+        system.subtract(system.solve())
+
+    def _load(self, factor: float) -> None:
+        self._factor.t.value = factor
+        for update in self._updates:
+            update(factor)
+
+    def _full_load(self) -> float:
+        """Norm of the residual of the undeformed shell under the full load."""
+        state = self._y.copy()
+        self._y[:] = 0.0
+        self._load(1.0)
+        norm = self._system.assemble_residual()
+        self._y[:] = state
+        self._load(self._factor.time)
+        return norm
+
+    def _again(self, until: float, each: Callable[[float], None] | None, chosen: dict[str, Any]) -> LoadReport:
+        """Equilibrium at a load that is not above the present one, in one step."""
+        state = self._y.copy()
+        self._load(until)
+        try:
+            done = agreed(self._copies, lambda: newton(self._system, **chosen), self._y)
+        except SolveError:
+            self._y[:] = state
+            self._load(self._factor.time)
+            raise
+        self._factor.resume(until)
+        if each is not None:
+            each(until)
+        return LoadReport((until,), (len(done.step_lengths),), (0,))
