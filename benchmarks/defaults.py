@@ -1,6 +1,8 @@
 """Why the defaults are what they are: one table per choice, on the manufactured fluid-membrane problem.
 
-CPU seconds of one process; within a table they may be compared, as the runs follow each other directly.
+What hard steps get (acceleration, a second attempt, many passes) is tried with penalties far above the guideline mu/h,
+the absolute tolerance in a duct under a steady load, see ``stability.duct``. CPU seconds of one process; within a table
+they may be compared, as the runs follow each other directly.
 """
 
 import csv
@@ -11,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from load import load_demo
+from stability import duct, through_duct
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu
@@ -20,8 +23,10 @@ from tigar_x.run.progress import Stopwatch
 demo = load_demo("manufactured")
 
 HEADER = ("setting", "steps", "passes", "linear", "CPU s", "L2 u", "H1 u", "L2 p", "L2 y")
+STEADY_HEADER = ("setting", "steps", "passes", "CPU s", "slip rms")
 DEFAULT = CouplingOptions()
 ILU = gmres_ilu(1)
+Study = tuple[str, list[tuple[Any, ...]]]
 
 
 def run(
@@ -50,8 +55,40 @@ def run(
     return (setting, steps, passes, linear, watch.cpu_s, *(errors[n] for n in ("L2_u", "H1_u", "L2_p", "L2_y")))
 
 
-def studies() -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
-    """All tables: title and rows."""
+def hard(C: float, **options: Any) -> tuple[Any, ...]:
+    """One row: a penalty of C mu/h and what steps get that need many passes; level 3, dt x 4."""
+    mu_h = demo.Data().mu * demo.cells_per_side(3) / demo.Data().L
+    name = ", ".join([f"C {C:g}", *(f"{key} {value}" for key, value in options.items())])
+    return run(name, replace(DEFAULT, penalty=C * mu_h, **options), level=3, dt_factor=4)
+
+
+def steady(block_atol: float, *, steps: int = 600) -> tuple[Any, ...]:
+    """One row: a duct with a sheet across it after its load has been raised; passes, CPU seconds and slip."""
+    scene = duct(CouplingOptions(penalty=50.0, block_atol=block_atol), n=4, jump=0.0)
+    through_duct(scene, 100, ramp=60)
+    watch = Stopwatch()
+    with watch:
+        reports = [scene.fsi.takeStep() for _ in range(steps)]
+    last = reports[-1].monitors
+    return f"block_atol {block_atol:g}", steps, sum(r.passes for r in reports), watch.cpu_s, last.normal_slip_rms
+
+
+def hard_steps() -> Iterator[Study]:
+    """Tables of what only steps with many passes notice."""
+    yield "acceleration, level 3, dt x 4", [hard(C, acceleration=a) for C in (10, 100, 1000) for a in (0, 1, 2, 5, 10)]
+    yield (
+        "accelerate_after, level 3, dt x 4",
+        [hard(C, accelerate_after=n) for C in (10, 100, 1000) for n in (0, 3, 6, 12, 24)],
+    )
+    yield "max_passes, level 3, dt x 4", [hard(C, max_passes=n) for C in (1e3, 3e3, 1e4) for n in (20, 50, 100, 200)]
+    yield (
+        "second_attempt, level 3, dt x 4",
+        [hard(C, second_attempt=s, acceleration=a) for C in (1e3, 1e4) for a in (5, 0) for s in (True, False)],
+    )
+
+
+def studies() -> Iterator[Study]:
+    """All tables on the manufactured problem: title and rows."""
     yield (
         "presets, level 4",
         [
@@ -125,22 +162,32 @@ def studies() -> Iterator[tuple[str, list[tuple[Any, ...]]]]:
     yield "time step, level 4", [run(f"dt x {f:g}", level=4, dt_factor=f) for f in (0.5, 1, 2, 4, 8, 16)]
 
 
-def main(out: Path = Path("results/benchmarks")) -> None:
+def main(out: Path = Path("results/benchmarks"), hard_only: bool = False) -> None:
     """Run all studies; print them as Markdown and write them as CSV.
 
     Args:
         out: folder of the results.
+        hard_only: only the studies of steps with many passes and of the absolute tolerance.
     """
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     out.mkdir(parents=True, exist_ok=True)
     with open(out / "defaults.csv", "w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("study", *HEADER))
-        for title, rows in studies():
-            print(f"\n**{title}**\n\n| {' | '.join(HEADER)} |\n|{' --- |' * len(HEADER)}")
+        for header, title, rows in tables(hard_only):
+            print(f"\n**{title}**\n\n| {' | '.join(header)} |\n|{' --- |' * len(header)}")
+            writer.writerow(("study", *header))
             for row in rows:
                 print("| " + " | ".join(f"{c:.3g}" if isinstance(c, float) else str(c) for c in row) + " |", flush=True)
                 writer.writerow((title, *row))
+
+
+def tables(hard_only: bool) -> Iterator[tuple[tuple[str, ...], str, list[tuple[Any, ...]]]]:
+    """Header, title and rows of each study."""
+    for study in (hard_steps,) if hard_only else (studies, hard_steps):
+        for title, rows in study():
+            yield HEADER, title, rows
+    rows = [steady(a) for a in (0.0, 1e-12, 1e-8, 1e-6, 1e-4)]
+    yield STEADY_HEADER, "block_atol, 600 steps under a steady load", rows
 
 
 if __name__ == "__main__":

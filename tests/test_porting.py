@@ -1,0 +1,92 @@
+"""The code in the documents runs as printed, with what the text says is given."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documents import DOCUMENTS, blocks
+
+SKIPPED = "python legacy"
+"""Marks a block of a legacy library, which nothing here can run."""
+
+LOADS = """
+import ufl
+from mpi4py import MPI
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
+
+spline = ExtractedSpline(shapes.line((0, 0), (0, 1), elements=2, degree=2), MPI.COMM_SELF)
+time, z = TimeIntegrator(spline.function(), 0.1, generalized_alpha(0.5, 2)), ufl.TestFunction(spline.V)
+residual, P, c, rho_s, h = 0 * z[0] * spline.dx, 1.0, 2.0, 3.0, 0.1
+"""
+
+LOOP = """
+import logging
+from pathlib import Path
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from dolfinx import fem
+from shnapr.supports import clamped
+from shnapr.svk import StVenantKirchhoff
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.splines.spline import ExtractedSpline
+from varmint.forms.space import equal_order_space
+from varmint.mesh import box
+
+log, out, n_steps, dt = logging.getLogger("script"), Path("loop"), 2, 0.05
+rho, mu, rho_s, thickness = 1.0, 0.1, 1.0, 0.05
+named = box(MPI.COMM_WORLD, (0, 0), (2, 1), (16, 8))
+mesh_f, ds = named.domain, named.ds("left", "right", "bottom", "top", degree=2)
+V = equal_order_space(mesh_f)
+w = fem.Function(V, name="w")
+pin = compat.pin_component(V, 2, lambda x: np.abs(x).max(axis=0) < 1e-9)
+x = ufl.SpatialCoordinate(mesh_f)
+inflow = lambda t: ufl.as_vector([6 * x[1] * (1 - x[1]) * t, 0])
+line = shapes.line((1, 0.005), (1, 0.6), elements=8, degree=2)
+spline_sh = ExtractedSpline(line, MPI.COMM_SELF, zero_dofs=clamped(line, "u0"))
+material = StVenantKirchhoff(1e4, 0.4, thickness)
+"""
+
+GIVEN = {"residual += follower_pressure": LOADS, "timeInt_f = TimeIntegrator": LOOP}
+"""What a block takes for granted, by a line of it."""
+
+
+@pytest.fixture
+def names_of(tmp_path, monkeypatch):
+    """Names that the blocks of a document leave, run one after the other in a folder of its own."""
+
+    def run(name):
+        (document,) = (path for path in DOCUMENTS if path.name == name)
+        codes, names = [code for language, code in blocks(document) if language == "python"], {}
+        assert codes
+        monkeypatch.chdir(tmp_path)
+        for code in codes:
+            for line, given in GIVEN.items():
+                if line in code:
+                    exec(compile(given, f"given to {name}", "exec"), names)
+            exec(compile(code, name, "exec"), names)
+        return names
+
+    return run
+
+
+def test_every_block_says_what_it_is():
+    """Python that is run, Python of a legacy library, commands, or data."""
+    for document in DOCUMENTS:
+        for language, _ in blocks(document):
+            assert language in ("python", SKIPPED, "sh", "text", ""), f"{document.name}: {language!r}"
+
+
+def test_porting_runs_as_printed(names_of):
+    names = names_of("porting.md")
+    assert names["tip"][2] == pytest.approx(-0.3006, rel=1e-3)
+    assert names["report"].t > 0.0
+    assert np.abs(names["spline_sh"].nodal(names["timeInt_sh"].x)).max() > 0.0
+    for left in ("results/roof.pvd", "results/leaflet.pvd", "loop/fluid.vtkhdf", "loop/shell.pvd", "loop/history.csv"):
+        assert Path(left).exists(), os.listdir()
