@@ -6,7 +6,8 @@ analysis of fluid-structure interaction using FEniCS and tIGAr", doi:10.1016/j.c
 
 import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
 
-from coudalfish.coupler import CouDALFISh, advance
+from coudalfish.coupler import CouDALFISh
+from coudalfish.run import advance
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.options import CouplingOptions, PenaltyRule

@@ -8,7 +8,7 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,13 +18,16 @@ from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Outcome, Start, Step
 from coudalfish.step.levels import check_schemes
 from coudalfish.step.options import CouplingOptions, PenaltyRule
-from coudalfish.step.report import RejectedStepError, StepError, StepReport
+from coudalfish.step.report import RejectedStepError, StepReport
 from coudalfish.step.watch import Watch
 from coudalfish.surface.trace import PointLocator
 from tigar_x import checks, ranks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.time_integration import TimeIntegrator
+
+if TYPE_CHECKING:
+    from tigar_x.run.running import Run
 
 log = logging.getLogger(__name__)
 
@@ -146,6 +149,16 @@ class CouDALFISh:
             integrator.advance()
         return report
 
+    def run(self, **options: Any) -> "Run":
+        """A run of many steps, as an iterator of their reports, see :class:`tigar_x.run.running.Run`.
+
+        Args:
+            options: of the run, and ``halvings``: how often a step that fails may be halved.
+        """
+        from coudalfish.run import run  # single steps need nothing of it
+
+        return run(self, **options)
+
     def _share(self) -> None:
         """Begin from one state on all ranks: their copies of the shell differ by rounding."""
         shell = (function.x.array for function in self.timeInt_sh.state.values())
@@ -193,38 +206,3 @@ class CouDALFISh:
                 integrator.in_step = False
 
         return restore
-
-
-def advance(
-    fsi: CouDALFISh, interval: float, *, halvings: int = 6, measure: Callable[[], Any] | None = None
-) -> list[StepReport]:
-    """Advance by an interval in one step or, where steps fail, in smaller ones.
-
-    Args:
-        fsi: what is coupled; its step size is ``interval`` afterwards.
-        interval: time to advance by; unit: time.
-        halvings: how often the step may be halved.
-        measure: see :meth:`CouDALFISh.takeStep`; called in every step.
-
-    Returns:
-        The reports of the steps, one if none failed.
-
-    Raises:
-        StepError: the smallest step failed as well; the state is that of the last good step.
-        ValueError: a number is out of range.
-    """
-    smallest = checks.positive("interval", interval) / 2 ** checks.whole("halvings", halvings, 0)
-    end, dt, reports = fsi.timeInt_f.time + interval, interval, []
-    try:
-        while end - fsi.timeInt_f.time > 1e-9 * interval:
-            fsi.step_size = min(dt, end - fsi.timeInt_f.time)
-            try:
-                reports.append(fsi.takeStep(measure))
-            except StepError as error:
-                if dt / 2 < 0.999 * smallest:
-                    raise
-                dt /= 2
-                fsi.watch.warn_once("cut", "%s; going on with dt = %g", error, dt)
-    finally:
-        fsi.step_size = interval
-    return reports

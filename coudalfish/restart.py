@@ -1,21 +1,35 @@
 """What a coupled run goes on from, for :class:`tigar_x.run.restart.Restart`."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from dolfinx import fem
 
-from coudalfish.coupler import CouDALFISh
+from tigar_x.compat import FloatArray
 from tigar_x.fem.nodal import wave_sums
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.ranks import first
 from tigar_x.run.restart import Integrators
+from tigar_x.splines.spline import ExtractedSpline
 
 SAME = 1e-9
 """Difference of the immersed points' wave sums within which two shells are the same one."""
 DIRECTIONS = np.array([1.0, 0.618])
 """How parameters enter the wave sums as one number, which no exchange or reversal of them leaves alone."""
+
+
+class Coupled(Protocol):
+    """What is known of a coupled problem by what it goes on from, see :class:`coudalfish.coupler.CouDALFISh`."""
+
+    fluid: Any
+    shell: Any
+    options: Any
+    spline_sh: ExtractedSpline
+    timeInt_f: TimeIntegrator
+    timeInt_sh: TimeIntegrator
+    lam: FloatArray
+    floors: tuple[float, float] | None
 
 
 class CoupledState:
@@ -29,7 +43,7 @@ class CoupledState:
         fields: functions by name; the multiplier is brought up to date by :meth:`record`.
     """
 
-    def __init__(self, fsi: CouDALFISh, **others: TimeIntegrator) -> None:
+    def __init__(self, fsi: Coupled, **others: TimeIntegrator) -> None:
         self._fsi = fsi
         if fsi.fluid.moving is not None:
             others["mesh"] = fsi.fluid.moving.time

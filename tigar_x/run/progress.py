@@ -66,6 +66,10 @@ class Progress:
         for n in range(self._done + 1, self._n + 1):
             self._done = n
             yield n
+        self.end()
+
+    def end(self) -> None:
+        """End the line of the bar."""
         if self._bar and self._rank == 0:
             sys.stderr.write("\n")
 

@@ -6,7 +6,7 @@ first solve. The residual, its conditions and its integrator can be given to a c
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import ufl
 
@@ -37,6 +37,9 @@ from varmint.flow.terms import Interior, Term, boundary_terms, strong_values
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
 from varmint.mesh.named import NamedMesh
+
+if TYPE_CHECKING:
+    from tigar_x.run.running import Run
 
 __all__ = ["Flow", "FlowError", "FlowOptions", "FlowReport"]
 
@@ -271,6 +274,26 @@ class Flow:
         for integrator in (time,) if self.moving is None else (time, self.moving.time):
             integrator.advance()
         return FlowReport(time.time, done.norms, linear, done.tangents, measured, t_alpha)
+
+    def run(self, *, halvings: int = 6, **options: Any) -> "Run":
+        """A run of many steps, as an iterator of their reports.
+
+        Args:
+            halvings: how often a step that fails may be halved.
+            options: see :class:`tigar_x.run.running.Run`.
+
+        Raises:
+            ValueError: the flow is steady, or an option is not allowed.
+        """
+        from tigar_x.run.running import Run  # single steps need nothing of it
+        from tigar_x.run.stepping import IntegratorStepper
+
+        if self.time is None:
+            raise ValueError("dt = None: a steady flow has no steps")
+        integrators = {"flow": self.time} | ({} if self.moving is None else {"mesh": self.moving.time})
+        sizes = {"dofs_fluid": self.unknowns}
+        stepper = IntegratorStepper(self.take_step, FlowError, halvings=halvings, sizes=sizes, **integrators)
+        return Run(stepper, **options)
 
     def solve(self) -> FlowReport:
         """Solve for the steady flow, from the present state.

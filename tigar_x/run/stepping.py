@@ -1,0 +1,170 @@
+"""What a run asks of whatever it steps, and steps that are cut where they fail."""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+from mpi4py import MPI
+
+from tigar_x import checks
+from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.run.restart import Integrators, State
+
+log = logging.getLogger(__name__)
+R = TypeVar("R")
+
+CUT = "%s; going on with dt = %g"
+
+
+class Writes(Protocol):
+    """A series of files, which writes the present state; it is closed at the end where it can be."""
+
+    def write(self, t: float) -> None:
+        """Write the present state at time ``t``."""
+
+
+class Stepper(Protocol):
+    """What can be stepped through time."""
+
+    @property
+    def time(self) -> float:
+        """Time of the last accepted state."""
+
+    @property
+    def step_size(self) -> float:
+        """Size of a step."""
+
+    @property
+    def sizes(self) -> Mapping[str, int]:
+        """Numbers of unknowns by the names that summaries give them."""
+
+    def advance(self, interval: float, measure: Callable[[], Any] | None) -> Sequence[Any]:
+        """Advance by an interval, in one step or, where steps fail, in smaller ones.
+
+        Args:
+            interval: time to advance by.
+            measure: called in every step with its new state, before the clock moves.
+
+        Returns:
+            Reports of the steps; each has its time ``t``, and what :mod:`tigar_x.run.tally` counts where it counts it.
+        """
+
+    def monitors(self, report: Any) -> Mapping[str, float]:
+        """Numbers of a step whose largest values matter, by name."""
+
+    def state(self) -> State:
+        """What further steps follow from."""
+
+
+class Clock(Protocol):
+    """What tells and takes the size of a step."""
+
+    step_size: float
+
+    @property
+    def time(self) -> float:
+        """Time of the last accepted state."""
+
+
+def _warn(error: Exception, size: float) -> None:
+    if MPI.COMM_WORLD.rank == 0:
+        log.warning(CUT, error, size)
+
+
+def cut_steps(
+    take_step: Callable[[], R],
+    clocks: Sequence[Clock],
+    interval: float,
+    failures: Any,
+    *,
+    halvings: int = 6,
+    tell: Callable[[Exception, float], None] = _warn,
+) -> list[R]:
+    """Advance by an interval in one step or, where steps fail, in smaller ones (collective).
+
+    Args:
+        take_step: makes a step, or raises and leaves everything as it was.
+        clocks: all that step together; their step size is ``interval`` afterwards. Unit: time.
+        interval: time to advance by; unit: time.
+        failures: exceptions that mean that a smaller step may help.
+        halvings: how often the step may be halved.
+        tell: told of a step that failed and of the smaller step size; by default warns.
+
+    Returns:
+        What the steps returned, one of them if none failed.
+
+    Raises:
+        Exception: that of the smallest step, if it failed as well; the state is that of the last good step.
+        ValueError: a number is out of range.
+    """
+    smallest = checks.positive("interval", interval) / 2 ** checks.whole("halvings", halvings, 0)
+    start, size = clocks[0].time, interval
+    done: list[R] = []
+    try:
+        while (left := start + interval - clocks[0].time) > 1e-9 * interval:
+            for clock in clocks:
+                clock.step_size = interval if not done and size == interval else min(size, left)
+            try:
+                done.append(take_step())
+            except failures as error:
+                if size / 2 < 0.999 * smallest:
+                    raise
+                size /= 2
+                tell(error, size)
+    finally:
+        for clock in clocks:
+            clock.step_size = interval
+    return done
+
+
+class IntegratorStepper:
+    """Steps of what has one verb and its integrators, such as a flow or a shell alone.
+
+    Args:
+        take_step: makes a step, with what is measured in it, or raises and leaves everything as it was.
+        failures: exceptions that mean that a smaller step may help.
+        halvings: how often a step may be halved.
+        sizes: numbers of unknowns by the names that summaries give them.
+        integrators: all that it advances, by the names that checkpoints give them; the first one has the clock.
+
+    Attributes:
+        sizes: as given.
+    """
+
+    def __init__(
+        self,
+        take_step: Callable[[Callable[[], Any] | None], Any],
+        failures: Any,
+        *,
+        halvings: int = 6,
+        sizes: Mapping[str, int] | None = None,
+        **integrators: TimeIntegrator,
+    ) -> None:
+        self._take_step, self._failures = take_step, failures
+        self._halvings = checks.whole("halvings", halvings, 0)
+        self.sizes = dict(sizes or {})
+        self._integrators, self._clocks = integrators, tuple(integrators.values())
+
+    @property
+    def time(self) -> float:
+        """Time of the last accepted state."""
+        return self._clocks[0].time
+
+    @property
+    def step_size(self) -> float:
+        """Size of a step."""
+        return self._clocks[0].step_size
+
+    def advance(self, interval: float, measure: Callable[[], Any] | None) -> Sequence[Any]:
+        """Advance by an interval, see :func:`cut_steps`."""
+        return cut_steps(
+            lambda: self._take_step(measure), self._clocks, interval, self._failures, halvings=self._halvings
+        )
+
+    def monitors(self, _: Any) -> Mapping[str, float]:
+        """None."""
+        return {}
+
+    def state(self) -> Integrators:
+        """What further steps follow from."""
+        return Integrators(**self._integrators)
