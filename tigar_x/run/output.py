@@ -46,6 +46,19 @@ def check_writable(*paths: Path) -> None:
 class Series:
     """What every series is besides: a context manager that finishes or abandons its files."""
 
+    def write(self, t: float) -> None:
+        """Write the present state at time ``t`` (collective)."""
+        raise NotImplementedError
+
+    def once(self, t: float = 0.0) -> None:
+        """Write one state and finish the files (collective).
+
+        Args:
+            t: its time.
+        """
+        with self:
+            self.write(t)
+
     def close(self) -> None:
         """Finish the files (collective)."""
 

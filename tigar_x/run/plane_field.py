@@ -10,6 +10,7 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
+from tigar_x.run.figure import Panel
 
 
 class PlaneField:
@@ -93,3 +94,26 @@ class PlaneField:
         grid = np.meshgrid(*lines)
         u, v = (LinearTriInterpolator(triangles, self.values[:, i])(*grid) for i in (0, 1))
         axes.streamplot(*lines, u, v, **({"color": "0.25", "linewidth": 0.6, "arrowsize": 0.7} | style))
+
+    def panel(self, values: FloatArray, label: str, *, title: str = "", density: float = 0.0, **style: Any) -> Panel:
+        """Panel of nodal values as colours, with streamlines of the first two components.
+
+        Args:
+            values: shape (nodes,).
+            label: of the bar.
+            title: above.
+            density: of the streamlines; 0: none.
+            style: passed on to ``tripcolor``.
+        """
+
+        def panel(axes: Any) -> None:
+            self.shade(axes, values, label, **style)
+            if density:
+                self.streamlines(axes, density=density)
+            axes.set_title(title)
+
+        return panel
+
+    def speed(self, *, label: str = "speed", **more: Any) -> Panel:
+        """Panel of the length of the first two components, see :meth:`panel`."""
+        return self.panel((self.values[:, :2] ** 2).sum(axis=1) ** 0.5, label, **more)

@@ -1,0 +1,186 @@
+"""A script with a folder of results: options that all such scripts have, and what it leaves there.
+
+```python
+@with_results
+def main(results: Results, degree: int = 3) -> dict[str, Any]:
+    results.claim()                                    # once the input is known to be right
+    ...
+    results.say("degree", degree)
+    return results.summary(errors={"L2_u": error})     # summary.json, with the options
+
+
+if __name__ == "__main__":
+    script.command_line(main)                          # --degree, --out, --overwrite, --viz
+```
+"""
+
+import functools
+import inspect
+import sys
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from mpi4py import MPI
+
+from tigar_x import checks
+from tigar_x.run.convergence import Solved, Study, doubled, refine
+from tigar_x.run.summary import write_summary
+from tigar_x.run.writing import claim
+
+S = TypeVar("S", bound=Solved)
+
+OPTIONS: dict[str, tuple[type, Any, str]] = {
+    "elements": (int, 4, "per direction on the coarsest mesh; doubled from level to level."),
+    "levels": (int, 4, "number of meshes, 2 or more."),
+    "out": (Path, None, "folder of the results."),
+    "overwrite": (bool, False, "whether to delete the results of an earlier run in this folder."),
+    "viz": (bool, True, "whether to write ParaView files and pictures."),
+    "checkpoint_every": (int, 0, "steps between checkpoints; 0: none, but where the run is told to end."),
+    "restart": (str, "", 'checkpoint to go on from: "latest", the number of its step, or its file.'),
+}
+"""Type, default and help of the options that scripts share."""
+LEVELS, ALWAYS, RESTARTS = ("elements", "levels"), ("out", "overwrite", "viz"), ("checkpoint_every", "restart")
+
+
+@dataclass(frozen=True)
+class Results:
+    """Where a script leaves what, and how.
+
+    Attributes:
+        name: of the script.
+        inputs: its options, but for the following ones.
+        out: folder of the results.
+        overwrite: whether to delete the results of an earlier run.
+        viz: whether to write ParaView files and pictures.
+        checkpoint_every: steps between checkpoints; 0: none.
+        restart: checkpoint from which the run goes on; empty: it is new.
+    """
+
+    name: str
+    inputs: dict[str, Any]
+    out: Path
+    overwrite: bool = False
+    viz: bool = True
+    checkpoint_every: int = 0
+    restart: str = ""
+
+    def claim(self) -> None:
+        """Refuse a folder with the results of an earlier run, or delete them, see :func:`tigar_x.run.writing.claim`."""
+        claim(self.out, overwrite=self.overwrite, restart=self.restart)
+
+    def say(self, *parts: Any) -> None:
+        """Write a line to standard output, on rank 0."""
+        if MPI.COMM_WORLD.rank == 0:
+            sys.stdout.write(" ".join(map(str, parts)) + "\n")
+
+    def summary(self, inputs: Mapping[str, Any] | None = None, **results: Any) -> dict[str, Any]:
+        """Write ``summary.json``, see :func:`tigar_x.run.summary.write_summary`.
+
+        Args:
+            inputs: more inputs, or others in place of the options of these names.
+            results: errors, quantities and costs.
+
+        Returns:
+            The summary.
+        """
+        return write_summary(self.out, self.name, {**self.inputs, **(inputs or {})}, **results)
+
+    # -- studies of convergence ---------------------------------------------------------------------------------------
+
+    def refine(
+        self,
+        solve: Callable[[Any], S],
+        errors: Callable[[S], Mapping[str, float]],
+        expected: Mapping[str, float],
+        prepare: Callable[[int], Any] | None = None,
+    ) -> tuple[Study, S]:
+        """Claim the folder, and solve on the meshes that the options ``elements`` and ``levels`` tell.
+
+        Args:
+            solve: see :func:`tigar_x.run.convergence.refine`.
+            errors: see there.
+            expected: see there.
+            prepare: see there.
+
+        Returns:
+            The study, and the solution on the finest mesh.
+        """
+        sizes = doubled(self.inputs["elements"], self.inputs["levels"])
+        self.claim()
+        return refine(solve, errors, sizes, expected, prepare)
+
+    def convergence(self, study: Study, head: str, **results: Any) -> dict[str, Any]:
+        """Print a study of convergence, and write it as the summary.
+
+        Args:
+            study: errors from level to level.
+            head: line above its table.
+            results: more of the summary's entries.
+
+        Returns:
+            The summary.
+        """
+        self.say(f"{head}\n{study.table()}")
+        return self.summary(**study.results(), **results)
+
+
+def with_results(main: Callable[..., Any] | None = None, **shared: Any) -> Callable[..., Any]:
+    """Give a script's function the options of :class:`Results`, and such an object as its first argument.
+
+    The script is called by the name of its file, and its folder is ``results/NAME`` unless another is given. An option
+    that is annotated as a ``Literal`` has to be one of its values.
+
+    Args:
+        main: the script's function: ``results`` first, then its options, each with a default.
+        shared: defaults of more options: ``elements`` and ``levels`` of a study of convergence, ``checkpoint_every``
+            (and with it ``restart``) of a long run.
+
+    Returns:
+        The function of all options by name, for :func:`tigar_x.run.script.command_line`.
+    """
+    if main is None:
+        return functools.partial(with_results, **shared)
+    name, hints = Path(inspect.getfile(main)).stem, typing.get_type_hints(main)
+    first, *own = inspect.signature(main).parameters.values()
+    groups = (group for group in (LEVELS, ALWAYS, RESTARTS) if group is ALWAYS or set(group) & set(shared))
+    added = [key for group in groups for key in group]
+    defaults = {key: OPTIONS[key][1] for key in added} | {"out": Path("results") / name} | shared
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    more = [inspect.Parameter(key, keyword, annotation=OPTIONS[key][0], default=defaults[key]) for key in added]
+    signature = inspect.Signature([parameter.replace(kind=keyword) for parameter in own] + more)
+
+    @functools.wraps(main)
+    def run(**options: Any) -> Any:
+        bound = signature.bind(**options)
+        bound.apply_defaults()
+        given = dict(bound.arguments)
+        ours = {key: given.pop(key) for key in added if key not in LEVELS}
+        for key, value in given.items():
+            _check_choice(key, value, hints.get(key))
+        ours["out"] = Path(ours["out"])
+        return main(Results(name, given, **ours), **{parameter.name: given[parameter.name] for parameter in own})
+
+    run.__doc__ = _with_options(main.__doc__ or "", added)
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in more} | hints
+    del run.__annotations__[first.name]
+    run.__signature__ = signature  # type: ignore[attr-defined]
+    return run
+
+
+def _check_choice(name: str, value: Any, hint: Any) -> None:
+    """Refuse what is not one of the values of a ``Literal``, or None where that may be."""
+    parts = (hint,) if typing.get_origin(hint) is typing.Literal else typing.get_args(hint)
+    literals = [typing.get_args(part) for part in parts if typing.get_origin(part) is typing.Literal]
+    if literals and not (value is None and type(None) in parts):
+        checks.choice(name, value, sum(literals, ()))
+
+
+def _with_options(doc: str, names: list[str]) -> str:
+    """A docstring whose section of arguments has more of them at its end."""
+    head, args, tail = inspect.cleandoc(doc).partition("\n\nArgs:\n")
+    own, gap, rest = tail.partition("\n\n")
+    lines = [own] * bool(args) + [f"    {name}: {OPTIONS[name][2]}" for name in names]
+    return head + "\n\nArgs:\n" + "\n".join(lines) + gap + rest
