@@ -17,7 +17,7 @@ from coudalfish.surface.band import SurfaceBand
 from coudalfish.surface.trace import TraceMatrix
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.fem.linear import LinearSolver, automatic
+from tigar_x.fem.linear import LinearSolver, automatic, chosen
 from tigar_x.fem.solve import FiniteElementSystem, RankOne
 from tigar_x.fem.time_integration import TimeIntegrator
 
@@ -34,7 +34,8 @@ class FluidSubproblem:
         bcs: strong boundary conditions.
         band: the band whose scales the residual contains; None: the residual contains none.
         moving: motion of the mesh that is pulled back in the residual; None: the mesh is fixed.
-        solver: linear solver recipe; None: by size and layout, see :func:`tigar_x.fem.linear.automatic`.
+        solver: linear solver recipe, or a KSP; None: by size and layout, see :func:`tigar_x.fem.linear.automatic`.
+            PETSc options go first, under ``fluid_``.
         tangent: UFL tangent; None: the derivative of the residual.
         updates: called with t_alpha at the start of every step, for data that are not UFL expressions in time.
         before: called before every assembly of the residual, see :class:`tigar_x.fem.solve.FiniteElementSystem`.
@@ -62,7 +63,7 @@ class FluidSubproblem:
         bcs: Sequence[Any] = (),
         band: SurfaceBand | None = None,
         moving: MeshMotion | None = None,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),
         before: Sequence[Callable[[], None]] = (),
@@ -94,7 +95,7 @@ class FluidSubproblem:
         self.mesh_size = median_size(mesh_f) if mesh_size is None else checks.positive("mesh_size", mesh_size)
 
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
-        recipe = automatic(size * block, blocked=block > 1) if solver is None else solver
+        recipe = chosen(solver, automatic(size * block, blocked=block > 1), "fluid_")
         self.system = FiniteElementSystem(
             residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one
         )
@@ -194,7 +195,7 @@ class FluidSubproblem:
     @property
     def linear_accuracy(self) -> float:
         """Residual that the linear solver leaves in a step by its own tolerance, 0 for a direct one; unit: force."""
-        return self.system.recipe.rtol * self._reference
+        return self.system.linear_rtol * self._reference
 
     def speed(self) -> float:
         """Largest nodal speed relative to the mesh on any rank (collective); unit: length/time."""

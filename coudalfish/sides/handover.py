@@ -13,6 +13,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
+from petsc4py import PETSc
 
 from coudalfish.sides.mesh_motion import MeshMotion
 from coudalfish.surface.band import BandScale, SurfaceBand
@@ -46,7 +47,7 @@ class Needs(Protocol):
         """Motion of the mesh; None: it is fixed."""
 
     @property
-    def solver(self) -> LinearSolver | None:
+    def solver(self) -> LinearSolver | PETSc.KSP | None:
         """Linear solver that was chosen for it; None: none was."""
 
     @property
@@ -124,7 +125,7 @@ def check_needs(
     before: Sequence[Callable[[], None]],
     rank_one: Sequence[RankOne],
     moving: MeshMotion | None,
-    solver: LinearSolver | None,
+    solver: LinearSolver | PETSc.KSP | None,
     density: float | None,
     viscosity: float | None,
 ) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import ufl
 from dolfinx import fem
+from petsc4py import PETSc
 
 from coudalfish.sides.handover import check_residual
 from coudalfish.surface.sheets import Normals, Sheets
@@ -28,7 +29,7 @@ class ShellSubproblem:
         spline_sh: the midsurface, on ``MPI.COMM_SELF``.
         residual_sh: residual built from the expressions of ``timeInt_sh``.
         timeInt_sh: integrator of the homogeneous displacement.
-        solver: linear solver recipe; None: direct.
+        solver: linear solver recipe, or a KSP of one rank; None: direct. PETSc options go first, under ``shell_``.
         tangent: UFL tangent; None: the derivative of the residual.
         updates: called with t_alpha at the start of every step.
         contact: contact of the shell, or of several in one spline, with itself, on ``NodalQuadrature.of(spline_sh)``;
@@ -50,7 +51,7 @@ class ShellSubproblem:
         residual_sh: ufl.Form,
         timeInt_sh: TimeIntegrator,
         *,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),
         contact: SelfContact | None = None,
@@ -64,9 +65,11 @@ class ShellSubproblem:
         y: fem.Function = timeInt_sh.x
         jacobian = ufl.derivative(residual_sh, y) if tangent is None else tangent
         self.system = (
-            SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y)
+            SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y, prefix="shell_")
             if contact is None
-            else ContactSystem(spline_sh, residual_sh, jacobian, contact, unknown=y, time=timeInt_sh, solver=solver)
+            else ContactSystem(
+                spline_sh, residual_sh, jacobian, contact, unknown=y, time=timeInt_sh, solver=solver, prefix="shell_"
+            )
         )
         self.sheets = Sheets.of(spline_sh)
         self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)

@@ -4,6 +4,7 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
+from petsc4py import PETSc
 
 from shnapr.contact.self_contact import ContactForces, SelfContact
 from tigar_x.compat import FloatArray
@@ -24,7 +25,8 @@ class ContactSystem(SplineSystem):
         unknown: homogeneous displacement.
         time: integrator of the unknown; contact then acts at its intermediate level. None: a static problem.
         positive: whether the tangent of contact leaves out what makes it indefinite.
-        solver: linear solver recipe; None: direct.
+        solver: linear solver recipe, or a KSP; None: direct.
+        prefix: of the PETSc options that go before the recipe's, see :mod:`tigar_x.fem.petsc_options`.
 
     Attributes:
         contact: as given.
@@ -44,9 +46,10 @@ class ContactSystem(SplineSystem):
         unknown: fem.Function,
         time: TimeIntegrator | None = None,
         positive: bool = False,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
+        prefix: str = "",
     ) -> None:
-        super().__init__(spline, residual, tangent, solver, unknown=unknown)
+        super().__init__(spline, residual, tangent, solver, unknown=unknown, prefix=prefix)
         self.contact = contact
         self._spline = spline
         self._y = unknown

@@ -3,7 +3,7 @@
 Lanczos' method with shift and inversion, by SLEPc (Hernandez, Roman and Vidal, doi:10.1145/1089014.1089019) where it
 can be imported, else by ARPACK on one rank. From one start vector it may miss copies of a multiple eigenvalue, such as
 the paired modes of a square or round plate. Therefore what was found is deflated and the rest searched until nothing
-nearer turns up.
+nearer turns up. SLEPc takes options from PETSc's table by its own names, ``-eps_...`` and ``-st_...``.
 """
 
 import importlib
@@ -218,6 +218,7 @@ def _slepc(K: PETSc.Mat, M: PETSc.Mat, shift: float) -> Iterator[_Nearest]:
     solver.setType("preonly")
     solver.getPC().setType("lu")
     solver.getPC().setFactorSolverType("mumps")
+    eps.setFromOptions()
 
     def nearest(count: int, known: FloatArray) -> tuple[FloatArray, FloatArray]:
         eps.setDimensions(count)

@@ -3,13 +3,16 @@
 import itertools
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
+from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from tigar_x import compat
+from tigar_x.fem.petsc_options import chosen
 from tigar_x.fem.recipes import (
     LARGE,
     MEDIUM,
@@ -31,6 +34,7 @@ __all__ = [
     "PreparedSolver",
     "SolveError",
     "automatic",
+    "chosen",
     "direct",
     "gmres_ilu",
     "gmres_sor",
@@ -41,13 +45,43 @@ log = logging.getLogger(__name__)
 _prefixes = itertools.count()
 
 
-def _of_one_rank(options: dict[str, str | int | float]) -> dict[str, str | int | float]:
-    """Options without a Schwarz method, whose only subdomain solver takes its place."""
-    if options.get("pc_type") != "asm":
+def _of_one_rank(options: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Options without a Schwarz method, whose only subdomain solver takes its place, unless the user chose it."""
+    if options.get("pc_type") != "asm" or any(key == "pc_type" or key.startswith("pc_asm") for key in overrides):
         return options
     inner = {key.removeprefix("sub_"): value for key, value in options.items() if key.startswith("sub_")}
-    rest = {key: value for key, value in options.items() if not key.startswith(("sub_", "pc_asm"))}
-    return rest | inner
+    rest = {key: value for key, value in options.items() if not key.startswith(("sub_", "pc_asm", "pc_type"))}
+    return {"pc_type": "asm", **inner, **rest}
+
+
+def _check_ranks(recipe: LinearSolver, A: PETSc.Mat) -> None:
+    """Refuse a KSP of other ranks, which would never come back."""
+    ksp: Any = recipe.ksp
+    same = MPI.Comm.Compare(ksp.comm.tompi4py(), A.comm.tompi4py()) in (MPI.IDENT, MPI.CONGRUENT)
+    if not same:
+        raise ValueError(
+            f"solver: the KSP of {recipe.name!r} lives on {ksp.comm.size} ranks, one on the communicator of the"
+            f" matrix, of {A.comm.size}, is required"
+        )
+
+
+def _hand_over(ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+    """Give a user's KSP the matrix; one that has served another matrix forgets it."""
+    known = ksp.getOperators()[0]
+    if known.handle != A.handle:
+        if min(known.getSize()) >= 0:
+            ksp.reset()
+        ksp.setOperators(A)
+
+
+@contextmanager
+def _tolerances_kept(ksp: PETSc.KSP) -> Iterator[None]:
+    """Leave a KSP's tolerances as they were; a user's may serve elsewhere as well."""
+    rtol, atol, *_ = ksp.getTolerances()
+    try:
+        yield
+    finally:
+        ksp.setTolerances(rtol=rtol, atol=atol)
 
 
 class PreparedSolver:
@@ -56,22 +90,29 @@ class PreparedSolver:
     Args:
         recipe: what to do.
         A: the matrix; its values may change between solves, its pattern may not.
+
+    Raises:
+        ValueError: the recipe's own KSP lives on other ranks than the matrix.
     """
 
     def __init__(self, recipe: LinearSolver, A: PETSc.Mat) -> None:
         self.recipe = recipe
         self._A = A
-        prefix, options = f"tigar_x_{next(_prefixes)}_", dict(recipe.options)
-        self._prefix = prefix
+        options = dict(recipe.options)
+        # with the user's prefix PETSc finds what the user has given by itself, and knows that it was used
+        self._prefix = (recipe.prefix or "") if recipe.overrides else f"tigar_x_{next(_prefixes)}_"
         if A.comm.size == 1:
-            options = _of_one_rank(options)
-        self._options = {prefix + key: value for key, value in options.items()}
+            options = _of_one_rank(options, recipe.overrides)
+        self._options = {self._prefix + key: value for key, value in options.items() if key not in recipe.overrides}
+        if recipe.ksp is not None:
+            _check_ranks(recipe, A)
         self._kept_iterations: int | None = None
         self._fallback: PreparedSolver | None = None
         self._residual: PETSc.Vec | None = None
         self._copy: PETSc.Vec | None = None
         self._converted: PETSc.Mat | None = None
         self._converted_state = -1
+        self._tolerances: tuple[float, float] | None = None  # of a KSP that a callable has configured
 
     @contextmanager
     def _table_of_options(self) -> Iterator[None]:
@@ -90,12 +131,25 @@ class PreparedSolver:
 
     @cached_property
     def _ksp(self) -> PETSc.KSP:
+        if self.recipe.ksp is not None:
+            return self.recipe.ksp
         ksp = PETSc.KSP().create(self._A.comm)
         compat.freed_with(self, ksp)
         ksp.setOptionsPrefix(self._prefix)
         ksp.setOperators(self._operator())
-        ksp.setFromOptions()
+        with self._table_of_options():
+            ksp.setFromOptions()
+        if self.recipe.configure is not None:
+            self.recipe.configure(ksp)
+            if self.recipe.overrides:
+                ksp.setFromOptions()
+            self._tolerances = ksp.getTolerances()[:2]
         return ksp
+
+    @property
+    def rtol(self) -> float:
+        """Reduction of the residual's norm at which it stops; 0 for a factorisation."""
+        return self.recipe.rtol if self._tolerances is None else self._tolerances[0]
 
     def _operator(self) -> PETSc.Mat:
         """The matrix, in the type that the recipe wants: a fallback may want another one than the first recipe."""
@@ -122,11 +176,14 @@ class PreparedSolver:
             compat.freed_with(self, self._copy)
         b.copy(self._copy)
         try:
-            with self._table_of_options():
-                self._operator()
+            ksp, operator = self._ksp, self._operator()
+            if self.recipe.ksp is not None:
+                _hand_over(ksp, operator)
+            with self._table_of_options(), _tolerances_kept(ksp):
                 self._set_tolerances(reference)
-                self._ksp.getPC().setReusePreconditioner(keep)
-                self._ksp.solve(self._copy, x)
+                if self.recipe.ksp is None or self.recipe.rebuild_growth is not None:
+                    ksp.getPC().setReusePreconditioner(keep)
+                ksp.solve(self._copy, x)
         except PETSc.Error as error:
             self._copy = None
             return f"PETSc: {error}", 0
@@ -137,7 +194,7 @@ class PreparedSolver:
         if not math.isfinite(x.norm()):
             return "the solution is not finite", iterations
         if self._ksp.getNormType() == PETSc.KSP.NormType.NONE:  # it has looked at no residual
-            accepted = 0.1 if self.recipe.is_direct else self.recipe.rtol
+            accepted = 0.1 if self.recipe.is_direct else self.rtol
             if not self._solves(
                 b, x, accepted * (b.norm() if reference is None or self.recipe.is_direct else reference)
             ):
@@ -147,7 +204,8 @@ class PreparedSolver:
     def _set_tolerances(self, reference: float | None) -> None:
         if self.recipe.is_direct:
             return
-        rtol, smallest = self.recipe.rtol, float(self.recipe.options.get("ksp_atol", 1e-300))
+        smallest = float(self.recipe.options.get("ksp_atol", 1e-300))
+        rtol, smallest = (self.recipe.rtol, smallest) if self._tolerances is None else self._tolerances
         if reference is None:
             self._ksp.setTolerances(rtol=rtol, atol=smallest)
         else:
@@ -155,7 +213,9 @@ class PreparedSolver:
 
     def _discard(self) -> None:
         """A factorisation that has failed once is not made again by PETSc, whatever becomes of the matrix."""
-        if "_ksp" in vars(self):
+        if self.recipe.ksp is not None:
+            self.recipe.ksp.reset()
+        elif "_ksp" in vars(self):
             self._ksp.destroy()
             del self._ksp
 

@@ -127,7 +127,7 @@ class LowRank:
             self._work.set(0.0)
             self._work.maxpy(factors, self._errors)
             left = self._work.norm()
-            if left <= max(solver.recipe.rtol, ACCURACY) * scale or not any(self._refinable or ()):
+            if left <= max(solver.rtol, ACCURACY) * scale or not any(self._refinable or ()):
                 break
             iterations += self._refine(solver, A)
         x.maxpy(factors, self._solved)

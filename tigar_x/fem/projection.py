@@ -31,4 +31,4 @@ def project(function: fem.Function, expression: Any, degree: int | None = None) 
     dx = ufl.dx(domain=V.mesh, metadata={"quadrature_degree": checks.whole("degree", degree, 0)})
     residual = ufl.inner(function - f, ufl.TestFunction(V)) * dx
     function.x.array[:] = 0.0  # else a start that is the projection already leaves nothing but rounding to reduce
-    newton(FiniteElementSystem(residual, function), rtol=1e-10)
+    newton(FiniteElementSystem(residual, function, prefix="projection_"), rtol=1e-10)

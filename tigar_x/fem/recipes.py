@@ -1,7 +1,9 @@
 """Named recipes for linear systems; :mod:`tigar_x.fem.linear` binds one to a matrix."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+
+from petsc4py import PETSc
 
 from tigar_x import checks
 
@@ -31,6 +33,14 @@ class LinearSolver:
         rebuild_growth: keep a preconditioner while iterations stay below this factor times those after it was built;
             None: rebuild it whenever the matrix changed.
         fallback: recipe to use when this one fails; None: fail.
+        prefix: of the PETSc options that go before ``options``, with its underscore, as "valve_"; None: that of the
+            system which it solves, see :mod:`tigar_x.fem.petsc_options`.
+        configure: called with the KSP once ``options`` are set, for what no option can say. A tolerance that it sets
+            is kept. What is a factorisation has to be one by ``options``.
+        ksp: a KSP of one's own, as it is: no options are set, those of the command line neither. ``options`` says what
+            it was when the recipe was made. It gets the matrix, and for the time of a solve the tolerance that belongs
+            to it; it is never destroyed here.
+        overrides: what :func:`tigar_x.fem.petsc_options.chosen` has found under the prefix, already in ``options``.
     """
 
     name: str
@@ -38,6 +48,20 @@ class LinearSolver:
     matrix: str = "aij"
     rebuild_growth: float | None = None
     fallback: "LinearSolver | None" = None
+    prefix: str | None = None
+    configure: Callable[[PETSc.KSP], None] | None = None
+    ksp: PETSc.KSP | None = field(default=None, hash=False)
+    overrides: Mapping[str, str] = field(default_factory=dict, hash=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.ksp is None:
+            return
+        if self.configure is not None:
+            raise ValueError(f"{self.name}: ksp and configure are given, one of them is required: configure the KSP")
+        rtol, atol, *_ = self.ksp.getTolerances()
+        found = {"ksp_type": self.ksp.getType(), "pc_type": self.ksp.getPC().getType()}
+        known = {key: value for key, value in found.items() if value is not None}
+        object.__setattr__(self, "options", {"ksp_rtol": rtol, "ksp_atol": atol, **known, **self.options})
 
     @property
     def is_direct(self) -> bool:

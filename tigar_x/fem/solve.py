@@ -14,7 +14,7 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem import rounding
 from tigar_x.fem.kept import KeptMatrix
-from tigar_x.fem.linear import LinearSolver, PreparedSolver, direct
+from tigar_x.fem.linear import LinearSolver, PreparedSolver, chosen, direct
 from tigar_x.fem.low_rank import LowRank, RankOne
 from tigar_x.fem.newton import NewtonReport, System, newton
 
@@ -29,7 +29,7 @@ class FiniteElementSystem:
         x: the unknown.
         bcs: strong conditions; their values enter through :meth:`apply_boundary_values`.
         tangent: UFL tangent; None: the derivative of the residual.
-        solver: linear solver recipe.
+        solver: linear solver recipe, or a KSP; None: direct.
         constant: dofs of a field that the equations determine up to a constant, such as the pressure of an enclosed
             flow: the part of the residual that no state can balance is taken out, and so is the constant of every
             increment. Needs an iterative solver. None: there is no such field.
@@ -37,6 +37,7 @@ class FiniteElementSystem:
         before: called before every assembly of the residual, to bring along what follows the unknown.
         resolution: gives what rounding of each local dof refers to beside its own value, shape (dofs,), as a solid's
             velocity that deforms it by one. None: nothing.
+        prefix: of the PETSc options that go before the recipe's, see :mod:`tigar_x.fem.petsc_options`.
 
     Attributes:
         A: tangent matrix.
@@ -56,18 +57,19 @@ class FiniteElementSystem:
         bcs: Sequence[Any] = (),
         *,
         tangent: ufl.Form | None = None,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
         constant: IntArray | None = None,
         rank_one: Sequence[RankOne] = (),
         before: Sequence[Callable[[], None]] = (),
         resolution: Callable[[], FloatArray] | None = None,
+        prefix: str = "",
     ) -> None:
         checks.kind("residual", residual, ufl.Form, "a form, and then the unknown")
         checks.kind("x", x, fem.Function, "the unknown function, after the residual")
         compat.free_dropped(x.function_space.mesh.comm)
         self.x = x
         self.bcs = tuple(bcs)
-        self.recipe = direct() if solver is None else solver
+        self.recipe = chosen(solver, direct(), prefix)
         jacobian = ufl.derivative(residual, x) if tangent is None else tangent
         self._residual, self._tangent = compat.compile_forms(residual, jacobian)
         blocked = x.function_space.dofmap.index_map_bs > 1
@@ -171,6 +173,11 @@ class FiniteElementSystem:
         if self._null is not None:
             self._null.remove(self._dx)
         return self._dx
+
+    @property
+    def linear_rtol(self) -> float:
+        """Reduction of the residual's norm at which the linear solver stops; 0 for a factorisation."""
+        return self._solver.rtol
 
     def reference_norm(self) -> float:
         """Norm of the residual that relative tolerances may refer to (collective), without the loads of ``rank_one``.

@@ -8,19 +8,23 @@ import sys
 import time
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mpi4py import MPI
 from dolfinx import mesh
 
 from tigar_x import compat
+from tigar_x.fem import petsc_options
+from tigar_x.fem.petsc_options import PREFIXES
 from tigar_x.ranks import all_come
 
 log = logging.getLogger(__name__)
 
 
-def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -> Any:
+def command_line(
+    main: Callable[..., Any], arguments: Sequence[str] | None = None, prefixes: Sequence[str] = tuple(PREFIXES)
+) -> Any:
     """Run ``main`` with the options of the command line; its signature says which there are.
 
     What ``main`` raises on one of several ranks ends them all, see :func:`abort_on_error`; so does ``sys.exit`` with an
@@ -29,15 +33,19 @@ def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -
     Parameters become ``--options`` with their default and annotation (int, float, str, bool, Path, Literal, optional
     ones of these); help is taken from the ``Args`` section of its docstring. A boolean gets a ``--no-`` form.
 
+    Options with one dash, as ``-fluid_ksp_rtol 1e-10``, are PETSc's and go before those of the solvers' recipes, see
+    :mod:`tigar_x.fem.petsc_options`. Those that no solver has asked for are listed by PETSc at the end.
+
     Args:
         main: the script's function, every parameter annotated and with a default.
         arguments: command line; None: that of the process.
+        prefixes: of PETSc's options that the script takes.
 
     Returns:
         What ``main`` returns.
     """
     doc = inspect.getdoc(main) or ""
-    parser = argparse.ArgumentParser(description=doc.split("\n\n")[0])
+    parser = argparse.ArgumentParser(description=doc.split("\n\n")[0], epilog=_petsc_help(prefixes))
     hints = typing.get_type_hints(main)
     for name, parameter in inspect.signature(main).parameters.items():
         hint = hints[name]
@@ -54,7 +62,12 @@ def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -
         parser.add_argument("--" + name.replace("_", "-"), **options)
     set_up_logging()
     abort_on_error()
-    given = parser.parse_args(arguments)
+    try:
+        rest, petsc = petsc_options.taken(sys.argv[1:] if arguments is None else arguments, prefixes)
+    except ValueError as error:
+        parser.error(str(error))
+    given = parser.parse_args(rest)
+    petsc_options.put(petsc)
     try:
         return main(**vars(given))
     except SystemExit as end:  # no excepthook sees it
@@ -62,6 +75,14 @@ def command_line(main: Callable[..., Any], arguments: list[str] | None = None) -
             told = f"{end.code}\n"
             _abort(lambda *_: sys.stderr.write(told), SystemExit, end, None)
         raise
+
+
+def _petsc_help(prefixes: Sequence[str]) -> str:
+    meanings = [f"-{prefix}ksp_rtol: {PREFIXES.get(prefix, 'of this script')}" for prefix in prefixes]
+    return (
+        "Options with one dash are PETSc's, and go before what this script chooses for its linear solvers:"
+        f" -ksp_type, -pc_type and all others, after the prefix of a solver ({', '.join(meanings)})."
+    )
 
 
 def abort_on_error() -> None:

@@ -3,7 +3,7 @@
 import json
 import platform
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,16 +48,20 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """Containers of dataclasses, NumPy's arrays and paths as JSON has them; None in a dataclass is left out."""
+    """Containers of dataclasses and NumPy's arrays as JSON has them, what it has not as text.
+
+    None in a dataclass is left out.
+    """
     if is_dataclass(value) and not isinstance(value, type):
-        return plain({k: v for k, v in asdict(value).items() if v is not None})
+        items = ((item.name, getattr(value, item.name)) for item in fields(value))  # a solver cannot be copied
+        return plain({k: v for k, v in items if v is not None})
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    return str(value) if isinstance(value, Path) else value
+    return value if value is None or isinstance(value, str | int | float) else str(value)
 
 
 def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem import rounding
 from tigar_x.fem.extracted import Extracted
-from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, direct
+from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen, direct
 
 
 class SplineSystem:
@@ -22,9 +22,10 @@ class SplineSystem:
         space: the extracted spline, for its ``V``, or another space on it.
         residual: UFL residual in ``space.V``.
         tangent: UFL tangent; the unknown is what the caller differentiated by.
-        solver: linear solver recipe; None: direct.
+        solver: linear solver recipe, or a KSP; None: direct.
         unknown: what :meth:`subtract` moves; None: the caller adds increments itself.
         zero_dofs: spline coefficients whose increments vanish; None: those of the space.
+        prefix: of the PETSc options that go before the recipe's, see :mod:`tigar_x.fem.petsc_options`.
 
     Attributes:
         b: extracted residual.
@@ -39,10 +40,11 @@ class SplineSystem:
         space: Extracted,
         residual: ufl.Form,
         tangent: ufl.Form,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
         *,
         unknown: fem.Function | None = None,
         zero_dofs: ArrayLike | None = None,
+        prefix: str = "",
     ) -> None:
         checks.kind("residual", residual, ufl.Form, "a form, after the space")
         checks.kind("tangent", tangent, ufl.Form, "a form, after the space and the residual")
@@ -68,7 +70,7 @@ class SplineSystem:
         self._M_T = space.M.transpose(PETSc.Mat())  # two products with it take two thirds of the time of PETSc's PtAP
         made = (self._A_fe, self._b_fe, self._diagonal, self._dx_fe, self.b, self._dx, self._product, self._M_T)
         compat.freed_with(self, *made)
-        self._recipe = direct() if solver is None else solver
+        self._recipe = chosen(solver, direct(), prefix)
         self._solver: PreparedSolver | None = None
         self.iterations = 0
 

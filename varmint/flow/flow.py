@@ -14,7 +14,7 @@ from dolfinx import fem
 from tigar_x import compat
 from tigar_x.compat import IntArray
 from tigar_x.fem.line_search import LineSearch
-from tigar_x.fem.linear import LinearSolver, SolveError, automatic
+from tigar_x.fem.linear import LinearSolver, SolveError, automatic, chosen
 from tigar_x.fem.schemes import Scheme, generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
 from varmint.conditions import Condition, Data
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from tigar_x.run.running import Run
 
 __all__ = ["Flow", "FlowError", "FlowOptions", "FlowReport"]
+
+PREFIX = "fluid_"
+"""Of the PETSc options of a flow's linear solver."""
 
 
 class Flow:
@@ -177,15 +180,14 @@ class Flow:
 
     @cached_property
     def recipe(self) -> LinearSolver:
-        """Linear solver recipe."""
-        if self.options.solver is not None:
-            return self.options.solver
+        """Linear solver recipe, as PETSc's options with the prefix ``fluid_`` change it."""
         index_map = self.V.dofmap.index_map
         size, surface = index_map.size_global * self.V.dofmap.index_map_bs, self._interior.scale_m is not None
         dimension = None if surface else int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
-        return automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
+        default = automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
+        return chosen(self.options.solver, default, PREFIX)
 
     @property
     def pressure_dofs(self) -> IntArray | None:
@@ -200,6 +202,7 @@ class Flow:
         return FiniteElementSystem(
             self.residual, self.w, self.bcs, tangent=self.tangent, solver=self.recipe, constant=self.pressure_dofs,
             rank_one=self.rank_one, before=self.before, resolution=getattr(self._solid, "resolution", None),
+            prefix=PREFIX,
         )  # fmt: skip
 
     def compile(self) -> None:
@@ -239,7 +242,7 @@ class Flow:
             outlet.update()
         consistent_start(
             self._state, self.time, self.residual, self.options.tau_dt, self.updates, self.bcs,
-            solver=self.recipe, constant=self.pressure_dofs,
+            solver=self.recipe, constant=self.pressure_dofs, prefix=PREFIX,
         )  # fmt: skip
 
     # -- solving ------------------------------------------------------------------------------------------------------

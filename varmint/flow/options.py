@@ -4,8 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from petsc4py import PETSc
+
 from tigar_x import checks
 from tigar_x.fem.linear import LinearSolver
+from tigar_x.fem.petsc_options import as_recipe
 
 STEP_LINEAR_RTOL, STEADY_LINEAR_RTOL = 1e-3, 1e-4
 """Tolerance of iterative linear solvers relative to the residual of each Newton iteration."""
@@ -44,7 +47,8 @@ class FlowOptions:
         pressure: how the constant of the pressure is fixed in a flow without an open boundary: by the null space of an
             iterative solver, which keeps the nodal mean, or by a pinned degree of freedom.
         pin_at: where the pressure is pinned to zero, at the nearest vertex; None: at the centroid of the mesh.
-        solver: linear solver recipe; None: by size, see :func:`tigar_x.fem.linear.automatic`.
+        solver: linear solver recipe, or a KSP; None: by size, see :func:`tigar_x.fem.linear.automatic`. PETSc options
+            go first, under ``fluid_``.
         rtol: accepted residual relative to the first one of a step or solve; None: ``STEP_RTOL`` or ``STEADY_RTOL``.
         max_iterations: Newton iterations after which a step or solve has failed.
         keep: see :func:`tigar_x.fem.solve.newton`; in steady flow every iteration has a new tangent.
@@ -61,7 +65,7 @@ class FlowOptions:
     quadrature_degree: int | None = None
     pressure: Literal["automatic", "null space", "pin"] = "automatic"
     pin_at: Sequence[float] | None = None
-    solver: LinearSolver | None = None
+    solver: LinearSolver | PETSc.KSP | None = None
     rtol: float | None = None
     max_iterations: int = 25
     keep: float | None = 0.2
@@ -75,6 +79,8 @@ class FlowOptions:
         ):
             if getattr(self, name) is not None:
                 check(name, getattr(self, name))
+        if self.solver is not None:
+            as_recipe("solver", self.solver)
         checks.not_negative("C_t", self.C_t)
         for name in ("invariant_metric", "frozen_tangent"):
             checks.flag(name, getattr(self, name))

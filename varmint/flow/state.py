@@ -6,6 +6,7 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
+from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.fem.linear import LinearSolver
@@ -41,7 +42,7 @@ class Needs:
     rank_one: tuple[RankOne, ...]
     bcs: tuple[Any, ...]
     moving: PrescribedMotion | ElasticMotion | None
-    solver: LinearSolver | None
+    solver: LinearSolver | PETSc.KSP | None
     is_closed: bool
     rho: fem.Constant
     mu: fem.Constant

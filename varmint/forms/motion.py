@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.line_search import LineSearch
-from tigar_x.fem.linear import LinearSolver, SolveError, direct
+from tigar_x.fem.linear import LinearSolver, SolveError
 from tigar_x.fem.schemes import Scheme, companion
 from tigar_x.fem.solve import FiniteElementSystem, newton
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -164,7 +164,7 @@ class ElasticMotion(MeshMotion):
         stiffening: exponent for cells that are compressed.
         size_stiffening: exponent for cells that are small.
         rtol: accuracy of the nodes' balance relative to the largest residual of a step.
-        solver: linear solver recipe; None: direct.
+        solver: linear solver recipe, or a KSP; None: direct. PETSc options go first, under ``mesh_``.
 
     Attributes:
         cells: as given.
@@ -186,7 +186,7 @@ class ElasticMotion(MeshMotion):
         stiffening: float = 3.0,
         size_stiffening: float = 1.0,
         rtol: float = 1e-6,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
     ) -> None:
         super().__init__(mesh, dt, scheme, degree)
         self.cells = tuple(cells)
@@ -222,7 +222,7 @@ class ElasticMotion(MeshMotion):
         size = compat.Constant(domain, sums[0] / sums[1])
         self._length = (sums[0] / sums[1]) ** (1.0 / domain.geometry.dim)
         residual = mesh_residual(u, ufl.TestFunction(V), domain, dx, size=size, **exponents)
-        self._system = FiniteElementSystem(residual, u, [fixed], solver=direct() if solver is None else solver)
+        self._system = FiniteElementSystem(residual, u, [fixed], solver=solver, prefix="mesh_")
         self._reference = 0.0
         self._began_at: float | None = None
         self._bring_back = self._system.remember_tangent()
