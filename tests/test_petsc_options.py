@@ -219,7 +219,7 @@ def test_slepc_has_its_own(table):
     M.assemble()
     assert eigenpairs(K, M, 2, backend="slepc").values[0] == pytest.approx(2 - 2 * np.cos(np.pi / 41))
     table(st_pc_type="none")
-    with pytest.raises(SolveError, match="residual|SLEPc"):
+    with pytest.raises(SolveError, match=r"residual|SLEPc"):
         eigenpairs(K, M, 2, backend="slepc")
 
 
