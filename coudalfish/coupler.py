@@ -25,10 +25,12 @@ from tigar_x import checks, ranks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.time_integration import TimeIntegrator
+from tigar_x.moved import guide
 
 if TYPE_CHECKING:
     from tigar_x.run.running import Run
 
+__getattr__ = guide(__name__)
 log = logging.getLogger(__name__)
 
 

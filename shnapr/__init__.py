@@ -8,4 +8,7 @@ and supports in :mod:`~shnapr.loads` and :mod:`~shnapr.supports`, stresses in :m
 planes (:mod:`~shnapr.planes`), themselves and each other (:mod:`~shnapr.contact`).
 """
 
-import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
+from tigar_x.front import __version__ as __version__
+from tigar_x.front import front
+
+__getattr__, __dir__, __all__ = front(__name__)

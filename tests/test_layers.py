@@ -10,11 +10,21 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 BELOW = {"tigar_x": (), "shnapr": ("tigar_x",), "varmint": ("tigar_x",), "coudalfish": ("tigar_x", "shnapr")}
 """What each package may know beside itself."""
-GROUND = ("tigar_x.compat", "tigar_x.checks", "tigar_x.ranks", "tigar_x.fem", "tigar_x.run")
+GROUND = (
+    "tigar_x.moved",
+    "tigar_x.front",
+    "tigar_x.compat",
+    "tigar_x.checks",
+    "tigar_x.ranks",
+    "tigar_x.fem",
+    "tigar_x.run",
+)
 """What a flow may know of tigar_x: nothing of splines."""
 FLOORS = tuple(
     tuple(floor.split())
     for floor in (
+        "tigar_x.moved",
+        "tigar_x.front",
         "tigar_x.compat",
         "tigar_x.checks",
         "tigar_x.ranks",
@@ -39,8 +49,9 @@ FLOORS = tuple(
         "coudalfish.surface",
         "coudalfish.sides",
         "coudalfish.step",
-        "coudalfish.coupler",
         "coudalfish.restart",
+        "coudalfish.run",
+        "coudalfish.coupler",
         "coudalfish.problems",
         "coudalfish",
     )

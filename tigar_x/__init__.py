@@ -18,4 +18,9 @@ rounding errors may differ, when it has several Constants and was compiled witho
 
 import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
 
-__version__ = "0.1.0"
+from tigar_x import moved
+from tigar_x.front import __version__ as __version__
+from tigar_x.front import front
+
+moved.install()
+__getattr__, __dir__, __all__ = front(__name__)

@@ -4,4 +4,7 @@ Sources: Bazilevs et al., doi:10.1007/s00466-008-0315-x; Bazilevs and Hughes, do
 Esmaily-Moghadam et al., doi:10.1007/s00466-011-0599-0.
 """
 
-import mpi4py.MPI  # noqa: F401  (dolfinx's wheel finds its MPI library only after this)
+from tigar_x.front import __version__ as __version__
+from tigar_x.front import front
+
+__getattr__, __dir__, __all__ = front(__name__)

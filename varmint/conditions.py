@@ -15,9 +15,12 @@ from mpi4py import MPI
 
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
+from tigar_x.moved import guide
 from varmint.forms import ale, boundary
 from varmint.forms.ale import Motion
 from varmint.mesh.named import NamedMesh
+
+__getattr__ = guide(__name__)
 
 Data = Callable[[Any, Any], Any] | Sequence[Any] | Any
 """Vector of shape (d,), see the module."""

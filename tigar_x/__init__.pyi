@@ -1,0 +1,57 @@
+"""What ``tigar_x`` offers at its front; the modules have more."""
+
+from tigar_x.fem.eigen import Eigenpairs as Eigenpairs
+from tigar_x.fem.eigen import eigenmodes as eigenmodes
+from tigar_x.fem.line_search import LineSearch as LineSearch
+from tigar_x.fem.linear import LinearSolver as LinearSolver
+from tigar_x.fem.linear import SolveError as SolveError
+from tigar_x.fem.linear import automatic as automatic
+from tigar_x.fem.linear import direct as direct
+from tigar_x.fem.linear import gmres_ilu as gmres_ilu
+from tigar_x.fem.linear import gmres_sor as gmres_sor
+from tigar_x.fem.linear import multigrid as multigrid
+from tigar_x.fem.load_stepping import LoadReport as LoadReport
+from tigar_x.fem.load_stepping import StepControl as StepControl
+from tigar_x.fem.load_stepping import follow_load as follow_load
+from tigar_x.fem.newton import NewtonReport as NewtonReport
+from tigar_x.fem.schemes import Scheme as Scheme
+from tigar_x.fem.schemes import backward_euler as backward_euler
+from tigar_x.fem.schemes import companion as companion
+from tigar_x.fem.schemes import generalized_alpha as generalized_alpha
+from tigar_x.fem.solve import FiniteElementSystem as FiniteElementSystem
+from tigar_x.fem.time_integration import LoadStepper as LoadStepper
+from tigar_x.fem.time_integration import TimeIntegrator as TimeIntegrator
+from tigar_x.geometry import shapes as shapes
+from tigar_x.geometry import surfaces as surfaces
+from tigar_x.geometry.files import read_patch as read_patch
+from tigar_x.geometry.files import read_patches as read_patches
+from tigar_x.geometry.files import write_patch as write_patch
+from tigar_x.geometry.gluing import glued as glued
+from tigar_x.geometry.multipatch import MultiPatch as MultiPatch
+from tigar_x.geometry.multipatch import disjoint as disjoint
+from tigar_x.geometry.patch import Patch as Patch
+from tigar_x.run import script as script
+from tigar_x.run.checkpoint import Checkpoints as Checkpoints
+from tigar_x.run.convergence import Study as Study
+from tigar_x.run.history import History as History
+from tigar_x.run.output import CSVSeries as CSVSeries
+from tigar_x.run.output import XDMFSeries as XDMFSeries
+from tigar_x.run.plane_field import PlaneField as PlaneField
+from tigar_x.run.progress import Progress as Progress
+from tigar_x.run.progress import Stopwatch as Stopwatch
+from tigar_x.run.restart import Restart as Restart
+from tigar_x.run.summary import Quantity as Quantity
+from tigar_x.run.summary import write_summary as write_summary
+from tigar_x.run.vtkhdf import VTKHDFSeries as VTKHDFSeries
+from tigar_x.run.writing import claim as claim
+from tigar_x.splines import constraints as constraints
+from tigar_x.splines.projection import LumpedProjector as LumpedProjector
+from tigar_x.splines.quadrature import NodalQuadrature as NodalQuadrature
+from tigar_x.splines.saved import load_extraction as load_extraction
+from tigar_x.splines.saved import save_extraction as save_extraction
+from tigar_x.splines.spline import ExtractedSpline as ExtractedSpline
+from tigar_x.splines.spline_system import SplineSystem as SplineSystem
+from tigar_x.splines.spline_system import solve_linear as solve_linear
+from tigar_x.splines.vtu import VTUSeries as VTUSeries
+
+__version__: str
