@@ -12,7 +12,7 @@ from tigar_x import compat
 T = TypeVar("T")
 
 
-def with_constants(domain: mesh.Mesh, data: T, *names: str) -> T:
+def with_constants(domain: mesh.Mesh, data: T) -> T:
     """Copy of a frozen dataclass in which numbers are Constants.
 
     Those of fields that may hold an expression (their type is ``Any``, or has it among others) are meant: one number,
@@ -21,7 +21,6 @@ def with_constants(domain: mesh.Mesh, data: T, *names: str) -> T:
     Args:
         domain: mesh whose forms they enter.
         data: a material, a load or the like; what is no dataclass comes back as it is.
-        names: of the fields that are meant; none: all.
 
     Returns:
         The copy.
@@ -30,7 +29,7 @@ def with_constants(domain: mesh.Mesh, data: T, *names: str) -> T:
         return data
     found = {}
     for item in fields(data):
-        if item.init and (not names or item.name in names) and (item.type is Any or Any in get_args(item.type)):
+        if item.init and (item.type is Any or Any in get_args(item.type)):
             constant = _constant(domain, getattr(data, item.name))
             if constant is not None:
                 found[item.name] = constant

@@ -1,12 +1,14 @@
 """Contact of a shell with rigid planes: a pressure that grows with the depth, per current area."""
 
 import numbers
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import ufl
 
+from shnapr.conditions import Fields
 from shnapr.kinematics import midsurface
 from tigar_x import checks
 from tigar_x.splines.spline import ExtractedSpline
@@ -30,9 +32,9 @@ class RigidPlane:
     """
 
     point: Any
-    normal: Any
+    normal: Sequence[float]
     stiffness: Any
-    smoothing: Any = 0.0
+    smoothing: float | ufl.core.expr.Expr = 0.0
 
     def __post_init__(self) -> None:
         normal = checks.array("normal", self.normal, (None,))
@@ -46,6 +48,10 @@ class RigidPlane:
         checks.parameter("stiffness", self.stiffness, checks.positive)
         plain = isinstance(self.smoothing, numbers.Real)
         checks.parameter("smoothing", self.smoothing, checks.not_negative if plain else checks.positive)
+
+    def term(self, fields: Fields) -> ufl.Form:
+        """See :class:`shnapr.conditions.Load`; a plane is as stiff under any load factor."""
+        return plane_contact(fields.spline, self, fields.y, fields.z)
 
     def traction(self, depth: Any) -> Any:
         """Pressure of the plane on a shell.

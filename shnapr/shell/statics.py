@@ -22,19 +22,32 @@ class Statics:
         system: the shell; its unknown is that of the factor.
         factor: load factor of the present state.
         updates: called with the load factor before every attempt.
+        options: of Newton's method.
         copies: ranks that hold the same shell.
+        after: called after every solve, with the state that it has found; None: nothing is.
     """
 
     def __init__(
-        self, system: SplineSystem, factor: LoadStepper, updates: Sequence[Callable[[float], None]], copies: MPI.Comm
+        self,
+        system: SplineSystem,
+        factor: LoadStepper,
+        options: ShellOptions,
+        updates: Sequence[Callable[[float], None]],
+        copies: MPI.Comm,
+        after: Callable[[], None] | None,
     ) -> None:
-        self._system, self._factor, self._updates, self._copies = system, factor, updates, copies
+        self._system, self._factor, self._options = system, factor, options
+        self._updates, self._copies, self._after = updates, copies, after
         self._y = factor.x.x.array
+
+    @property
+    def reached(self) -> float:
+        """Load factor of the present state."""
+        return self._factor.time
 
     def solve(
         self,
         until: float,
-        options: ShellOptions,
         *,
         step: float | None,
         control: StepControl | None,
@@ -47,13 +60,20 @@ class Statics:
             SolveError: the load was not reached.
         """
         factor = self._factor
-        chosen = newton_options(options, self._system) | {"reference": self._full_load() or None}
+        chosen = newton_options(self._options, self._system) | {"reference": self._full_load() or None}
+
+        def found(t: float) -> None:
+            if self._after is not None:
+                self._after()
+            if each is not None:
+                each(t)
+
         if checks.finite("until", until) <= factor.time:
-            return self._again(until, each, chosen)
+            return self._again(until, found, chosen)
         first = factor.step_size = until - factor.time if step is None else step
         control = StepControl(smallest=1e-3 * first, largest=first) if control is None else control
         return follow_load(
-            self._system, factor, until=until, control=control, updates=self._updates, each=each,
+            self._system, factor, until=until, control=control, updates=self._updates, each=found,
             extrapolate=extrapolate, comm=self._copies, **chosen,
         )  # fmt: skip
 
@@ -70,6 +90,8 @@ class Statics:
         system.assemble_residual()
         system.assemble_tangent()
         system.subtract(system.solve())
+        if self._after is not None:
+            self._after()
 
     def _load(self, factor: float) -> None:
         self._factor.t.value = factor
@@ -86,7 +108,7 @@ class Statics:
         self._load(self._factor.time)
         return norm
 
-    def _again(self, until: float, each: Callable[[float], None] | None, chosen: dict[str, Any]) -> LoadReport:
+    def _again(self, until: float, found: Callable[[float], None], chosen: dict[str, Any]) -> LoadReport:
         """Equilibrium at a load that is not above the present one, in one step."""
         state = self._y.copy()
         self._load(until)
@@ -97,6 +119,5 @@ class Statics:
             self._load(self._factor.time)
             raise
         self._factor.resume(until)
-        if each is not None:
-            each(until)
+        found(until)
         return LoadReport((until,), (len(done.step_lengths),), (0,))
