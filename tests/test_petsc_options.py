@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from scenes import sheet_in_flow
 from test_fallbacks import blocked_matrix, loads, relative_residual
 from test_motion import ALPHA, DT, FACES, brick
+from test_shell import panel
 
 from tigar_x.fem.eigen import eigenpairs
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen, direct, gmres_ilu, gmres_sor
@@ -184,6 +185,9 @@ def test_every_system_has_its_prefix(table):
     assert used(sheet.fluid.system) == "bcgs"
     assert used(sheet.shell.system) == "fgmres"
     assert sheet.fluid.linear_accuracy > 0.0
+    plate = panel()
+    plate.solve()
+    assert used(plate.system) == "fgmres"
 
 
 @pytest.mark.mpi

@@ -9,6 +9,7 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 from numpy.typing import ArrayLike
+from petsc4py import PETSc
 
 from shnapr.conditions import Load
 from shnapr.parameters import with_constants
@@ -20,7 +21,7 @@ from shnapr.shell.supported import supported
 from shnapr.work import Material
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.fem.linear import LinearSolver, direct
+from tigar_x.fem.linear import LinearSolver, chosen, direct
 from tigar_x.fem.schemes import Scheme, companion, generalized_alpha
 from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
 from tigar_x.geometry.multipatch import MultiPatch
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from tigar_x.splines.sampling import Sampling
 
 __all__ = ["Scene"]
+
+PREFIX = "shell_"
+"""Of the PETSc options of a shell's linear solver."""
 
 
 class Contact(Protocol):
@@ -64,7 +68,7 @@ class Scene:
         updates: Sequence[Callable[[float], None]] = (),
         formulation: Literal["displacement", "mixed"] = "displacement",
         quadrature_degree: int | None = None,
-        solver: LinearSolver | None = None,
+        solver: LinearSolver | PETSc.KSP | None = None,
         options: ShellOptions | None = None,
         comm: MPI.Comm = MPI.COMM_SELF,
         copies: MPI.Comm = MPI.COMM_WORLD,
@@ -85,7 +89,7 @@ class Scene:
         self.material = with_constants(domain, material)
         self.density = compat.Constant(domain, float(density)) if isinstance(density, int | float) else density
         self.loads = tuple(with_constants(domain, load) for load in loads)
-        self.solver = direct() if solver is None else solver
+        self.solver = chosen(solver, direct(), PREFIX)
         self.updates = tuple(updates)
         self.options = ShellOptions() if options is None else options
         self.contact = None if contact is None else contact.of(NodalQuadrature.of(self.spline))
@@ -166,11 +170,18 @@ class Scene:
         """Compiled system."""
         of, unknown = self._equations, self._equations.clock.x
         if self.contact is None:
-            return SplineSystem(of.space, of.residual, of.tangent, self.solver, unknown=unknown)
+            return SplineSystem(of.space, of.residual, of.tangent, self.solver, unknown=unknown, prefix=PREFIX)
         from shnapr.contact.system import ContactSystem
 
         return ContactSystem(
-            self.spline, of.residual, of.tangent, self.contact, unknown=unknown, time=self.time, solver=self.solver
+            self.spline,
+            of.residual,
+            of.tangent,
+            self.contact,
+            unknown=unknown,
+            time=self.time,
+            solver=self.solver,
+            prefix=PREFIX,
         )
 
     def compile(self) -> None:

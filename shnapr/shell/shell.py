@@ -49,7 +49,7 @@ class Shell(Scene):
             every attempt, for data that are not UFL.
         formulation: "mixed" takes membrane forces as unknowns too, for statics of thin shells, see :mod:`shnapr.mixed`.
         quadrature_degree: of every integral; None: twice the largest degree.
-        solver: linear solver recipe; None: direct.
+        solver: linear solver recipe, or a KSP; None: direct. PETSc options go first, under ``shell_``.
         options: of Newton's method.
         comm: where the spline lives: on ``MPI.COMM_SELF`` every rank has a copy of the whole.
         copies: ranks with a copy of this shell, which take the same steps; of a distributed shell there is one.
