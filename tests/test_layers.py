@@ -62,9 +62,6 @@ MODULE_LINES, FUNCTION_LINES = 350, 60
 """How long a module may be, and a function without its signature and docstring."""
 LONGER: dict[str, str] = {
     "shnapr/shell/shell.py": "under way",
-    "tigar_x/geometry/patch.py": "under way",
-    "tigar_x/splines/spline.py": "under way",
-    "tigar_x/fem/newton.py:newton": "under way",
 }
 """What may be longer, "path" or "path:function", and why."""
 HEAVY = ("gmsh", "meshio", "matplotlib", "splipy", "h5py", "slepc4py", "pyvista")

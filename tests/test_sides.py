@@ -12,6 +12,7 @@ from tigar_x.geometry.bspline import BSplineBasis, open_knots
 from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
+from tigar_x.splines.sides import named_or_outer
 from tigar_x.splines.spline import ExtractedSpline
 from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
@@ -170,7 +171,7 @@ def test_data_on_the_boundary(name, vector):
     gap = s.rationalize(u) - data
     assert integral(ufl.inner(gap, gap) * s.ds()) < 1e-20
     U = s.free(s.nsd if vector else 1).coefficients(u)
-    on_sides = np.concatenate([s.geometry.side_functions(*place) for place in s._places((), None)])
+    on_sides = np.concatenate([s.geometry.side_functions(*place) for place in named_or_outer(s.geometry, (), None)])
     assert np.abs(np.delete(U, on_sides, axis=0)).max(initial=0.0) < 1e-11
     assert np.abs(U[on_sides]).max() > 0.5
 
@@ -217,7 +218,7 @@ def test_harmonic_field_of_its_boundary_data(name):
     s = spline(name)
     exact = 1.0 + 2.0 * s.F[0] - s.F[1]
     u = s.project_boundary(exact)
-    on_sides = np.concatenate([s.geometry.side_functions(*place) for place in s._places((), None)])
+    on_sides = np.concatenate([s.geometry.side_functions(*place) for place in named_or_outer(s.geometry, (), None)])
     v = s.rationalize(ufl.TestFunction(s.scalar.V))
     residual = ufl.inner(s.grad(s.rationalize(u)), s.grad(v)) * s.dx
     tangent = ufl.derivative(residual, u)

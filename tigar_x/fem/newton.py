@@ -104,63 +104,136 @@ def newton(
     def accepted() -> float:
         return max(rtol * scale, checks.not_negative("atol", atol() if callable(atol) else atol))
 
-    target = accepted()
-    norms, linear, steps, tangents, lengths = [norm], list[int](), list[float](), 0, list[float]()
-    kept = keep is not None and system.has_tangent
-    while math.isfinite(norm) and norm > target:
-        if rounding.stagnates(norms, lengths):
-            if norm <= stalled * target:
-                log.info("Newton stalls at %.2e of an accepted %.2e", norm, target)
-                break
-            raise SolveError(rounding.stagnation(norms, lengths, target))
-        if len(steps) == max_iterations:
-            raise SolveError(f"Newton did not converge in {max_iterations} iterations: residuals {norms}")
-        if not kept:
-            system.assemble_tangent()
-            tangents += 1
-            if callable(atol):
-                target = accepted()
-                if norm <= target:
-                    break
+    run = _Run(system, norm, accepted, asks=callable(atol), line_search=line_search, keep=keep, stalled=stalled)
+    while run.goes_on:
+        if run.stalls(max_iterations):
+            break
+        run.renew_tangent()
+        if run.goes_on:
+            run.step()
+    if not math.isfinite(run.norm):
+        raise SolveError(f"Newton iteration {len(run.steps)}: the residual is not finite")
+    return NewtonReport(tuple(run.norms), tuple(run.linear), tuple(run.steps), run.tangents)
+
+
+class _Run:
+    """One run of Newton's method.
+
+    Args:
+        system: the problem, with the residual of its first state.
+        norm: norm of that residual.
+        accepted: gives the accepted residual.
+        asks: whether it is asked again after every tangent and step.
+        line_search: see :func:`newton`, as the others.
+        keep: see there.
+        stalled: see there.
+
+    Attributes:
+        norm: of the present residual.
+        norms: see :class:`NewtonReport`.
+        linear: see there.
+        steps: see there.
+        tangents: see there.
+        goes_on: whether there is something left to do.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        norm: float,
+        accepted: Callable[[], float],
+        *,
+        asks: bool,
+        line_search: LineSearch | None,
+        keep: float | None,
+        stalled: float,
+    ) -> None:
+        self._system, self._accepted, self._asks = system, accepted, asks
+        self._line_search, self._keep, self._stalled = line_search, keep, stalled
+        self._target, self._ended = accepted(), False
+        self._kept = keep is not None and system.has_tangent
+        self._lengths: list[float] = []
+        self.norm, self.norms, self.tangents = norm, [norm], 0
+        self.linear: list[int] = []
+        self.steps: list[float] = []
+
+    @property
+    def goes_on(self) -> bool:
+        return not self._ended and math.isfinite(self.norm) and self.norm > self._target
+
+    def stalls(self, max_iterations: int) -> bool:
+        """Whether nothing changes any more, near enough to a solution; SolveError where it is not, or at the limit."""
+        if rounding.stagnates(self.norms, self._lengths):
+            if not self._is_near:
+                raise SolveError(rounding.stagnation(self.norms, self._lengths, self._target))
+            log.info("Newton stalls at %.2e of an accepted %.2e", self.norm, self._target)
+            return True
+        if len(self.steps) == max_iterations:
+            raise SolveError(f"Newton did not converge in {max_iterations} iterations: residuals {self.norms}")
+        return False
+
+    @property
+    def _is_near(self) -> bool:
+        return self.norm <= self._stalled * self._target
+
+    def renew_tangent(self) -> None:
+        """Assemble the tangent unless the last one still serves."""
+        if self._kept:
+            return
+        self._system.assemble_tangent()
+        self.tangents += 1
+        if self._asks:
+            self._target = self._accepted()
+
+    def step(self) -> None:
+        """Solve for an increment and move along it; what a kept tangent cannot do is left to a new one."""
         try:
-            increment = system.solve()
+            increment = self._system.solve()
         except SolveError:
-            if not kept:
+            if not self._kept:
                 raise
-            kept = False
-            continue
-        linear.append(int(getattr(system, "iterations", 1)))
+            self._kept = False
+            return
+        self.linear.append(int(getattr(self._system, "iterations", 1)))
         length = float(increment.norm())
         try:
-            step, new = _move(system, increment, norm, line_search)
+            step, new = _move(self._system, increment, self.norm, self._line_search)
         except SolveError:
-            if not (kept or norm <= stalled * target or rounding.is_solved(system, norms[0], norm)):
+            if not (self._kept or self._is_near or rounding.is_solved(self._system, self.norms[0], self.norm)):
                 raise
-            steps.append(0.0)
-            norms.append(norm)
-            if not kept:
-                log.info("Newton stalls at %.2e of an accepted %.2e", norm, target)
-                break
-            kept, norm = False, system.assemble_residual()
-            continue
-        if kept and not new < norm:
+            self._stay()
+            return
+        if self._kept and not new < self.norm:
             increment.scale(-step)
-            system.subtract(increment)
-            step, new = 0.0, system.assemble_residual()
-        solved = not kept and new > rounding.LOWER * norm and rounding.is_solved(system, norms[0], new)
-        kept = keep is not None and new < keep * norm
-        lengths.append(step * length)
-        steps.append(step)
-        norms.append(new)
-        norm = new
-        if callable(atol) and norm > target:
-            target = accepted()
+            self._system.subtract(increment)
+            step, new = 0.0, self._system.assemble_residual()
+        self._accept(step, step * length, new)
+
+    def _stay(self) -> None:
+        """No step leads on: a new tangent may, or else rounding ends the run here."""
+        self.steps.append(0.0)
+        self.norms.append(self.norm)
+        if self._kept:
+            self._kept, self.norm = False, self._system.assemble_residual()
+            return
+        log.info("Newton stalls at %.2e of an accepted %.2e", self.norm, self._target)
+        self._ended = True
+
+    def _accept(self, step: float, length: float, new: float) -> None:
+        """Take down a step and the norm of the residual that it led to."""
+        solved = (
+            not self._kept and new > rounding.LOWER * self.norm and rounding.is_solved(self._system, self.norms[0], new)
+        )
+        self._kept = self._keep is not None and new < self._keep * self.norm
+        self._lengths.append(length)
+        self.steps.append(step)
+        self.norms.append(new)
+        self.norm = new
+        if self._asks and new > self._target:
+            self._target = self._accepted()
         if solved:
-            log.info("Newton starts at a solution up to rounding: a residual of %.2e", norm)
-            break
-    if not math.isfinite(norm):
-        raise SolveError(f"Newton iteration {len(steps)}: the residual is not finite")
-    return NewtonReport(tuple(norms), tuple(linear), tuple(steps), tangents)
+            log.info("Newton starts at a solution up to rounding: a residual of %.2e", new)
+            self._ended = True
 
 
 def _move(system: System, increment: PETSc.Vec, norm: float, line_search: LineSearch | None) -> tuple[float, float]:

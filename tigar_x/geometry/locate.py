@@ -97,6 +97,28 @@ def closest_points(geometry: Patch | MultiPatch, points: ArrayLike) -> ClosestPo
     return ClosestPoints(owner, xi, distance)
 
 
+def points_on(geometry: Patch | MultiPatch, points: ArrayLike, distance: float | None = None) -> ClosestPoints:
+    """Closest points of a geometry to points that lie on it, or near it.
+
+    Args:
+        geometry: see :func:`closest_points`.
+        points: see there.
+        distance: largest distance that is allowed; None: 1e-6 of the geometry's size. Unit: length.
+
+    Returns:
+        The closest points.
+
+    Raises:
+        ValueError: a point lies farther away, or see :func:`closest_points`.
+    """
+    found = closest_points(geometry, points)
+    allowed = 1e-6 * float(np.ptp(geometry.points, axis=0).max()) if distance is None else distance
+    if len(found.distance) and found.distance.max() > allowed:
+        i = int(found.distance.argmax())
+        raise ValueError(f"points[{i}] is {found.distance[i]:.3g} away from the spline: {allowed:.3g} is allowed")
+    return found
+
+
 def _samples(patches: tuple[Patch, ...]) -> _Samples:
     parts = []
     for k, patch in enumerate(patches):

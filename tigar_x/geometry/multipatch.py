@@ -9,7 +9,8 @@ import numpy as np
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.geometry.functions import SplineFunctions
-from tigar_x.geometry.patch import ControlNet, Patch
+from tigar_x.geometry.net import ControlNet
+from tigar_x.geometry.patch import Patch
 
 TOLERANCE = 1e-8
 """Control points closer than this, relative to the model's size, are one."""
@@ -85,16 +86,16 @@ class MultiPatch(ControlNet):
         return any(np.ptp(net, axis=axis).max() <= TOLERANCE * self.size for axis in range(len(shape)))
 
     def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
-        """Sides by name, see :meth:`tigar_x.geometry.patch.ControlNet.locate_sides`."""
+        """Sides by name, see :meth:`tigar_x.geometry.net.ControlNet.locate_sides`."""
         chosen = range(len(self.patches)) if patch is None else [self.checked(patch)]
         return [(k, *self.patches[k].locate_side(name)) for k in chosen for name in names or self.patches[k].open_sides]
 
     def side_places(self) -> list[dict[str, tuple[int, int]]]:
-        """Sides by name, see :meth:`tigar_x.geometry.patch.ControlNet.side_places`."""
+        """Sides by name, see :meth:`tigar_x.geometry.net.ControlNet.side_places`."""
         return [places for patch in self.patches for places in patch.side_places()]
 
     def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
-        """Functions next to a side, see :meth:`tigar_x.geometry.patch.ControlNet.side_functions`."""
+        """Functions next to a side, see :meth:`tigar_x.geometry.net.ControlNet.side_functions`."""
         own = self.patches[patch].side_functions(0, direction, end, layers)
         return np.unique(self.functions.global_numbers(patch, own))
 
@@ -163,7 +164,7 @@ def outside(geometry: ControlNet, names: Sequence[str], patch: int | None) -> li
 
     Args:
         geometry: one patch or several.
-        names: see :meth:`tigar_x.geometry.patch.ControlNet.locate_sides`; one or more.
+        names: see :meth:`tigar_x.geometry.net.ControlNet.locate_sides`; one or more.
         patch: which patch, whose sides are taken glued or not; None: every patch.
 
     Returns:

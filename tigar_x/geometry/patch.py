@@ -1,7 +1,6 @@
 """A spline geometry as data: degrees, knots and homogeneous control points."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,134 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.geometry import splipy_objects
 from tigar_x.geometry.bspline import BSplineBasis, TensorBasis, require_containing
 from tigar_x.geometry.functions import SplineFunctions
+from tigar_x.geometry.net import ControlNet
 
 SIDES = {f"{axis}{end}": (direction, end) for direction, axis in enumerate("uvw") for end in (0, 1)}
 """Names of the sides: the direction that is normal to the side, and its start (0) or end (1)."""
-
-
-class ControlNet(ABC):
-    """What all spline geometries share: functions, and a homogeneous control point for each of them.
-
-    Attributes:
-        functions: the functions.
-        control: homogeneous control points (w x, w), shape (n, nsd + 1); unit: length.
-    """
-
-    functions: SplineFunctions
-    control: FloatArray
-
-    def _check_control(self) -> FloatArray:
-        dim = self.functions.dim
-        control = checks.array("control", self.control, (self.functions.n, None)).copy()
-        if not dim < control.shape[1] <= 4:
-            allowed = f"{dim + 1} to 4 columns (w x, w)"
-            raise ValueError(f"control has {control.shape[1]} columns: a patch of dimension {dim} takes {allowed}")
-        if (control[:, -1] <= 0.0).any():
-            i = int(np.argmax(control[:, -1] <= 0.0))
-            raise ValueError(f"weight of control point {i} = {control[i, -1]}: weights > 0 are required")
-        control.flags.writeable = False
-        return control
-
-    @property
-    def n(self) -> int:
-        """Number of functions."""
-        return self.functions.n
-
-    @property
-    def dim(self) -> int:
-        """Parametric dimension."""
-        return self.functions.dim
-
-    @property
-    def nsd(self) -> int:
-        """Dimension of physical space."""
-        return int(self.control.shape[1]) - 1
-
-    @property
-    def weights(self) -> FloatArray:
-        """Weights of the control points, shape (n,)."""
-        return self.control[:, -1]
-
-    @property
-    def points(self) -> FloatArray:
-        """Physical control points, shape (n, nsd)."""
-        return checks.read_only(self.control[:, :-1] / self.weights[:, None])
-
-    @property
-    def rational(self) -> bool:
-        """Whether the weights differ from one."""
-        return bool((self.weights != 1.0).any())
-
-    @abstractmethod
-    def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
-        """Sides by name.
-
-        Args:
-            names: see :meth:`Patch.locate_side`; none: all there are.
-            patch: which patch; None: every patch.
-
-        Returns:
-            Patch, direction and end of every side.
-
-        Raises:
-            ValueError: there is no such side or patch.
-        """
-
-    @abstractmethod
-    def side_places(self) -> list[dict[str, tuple[int, int]]]:
-        """For every patch its sides by name, each with its direction and end."""
-
-    @abstractmethod
-    def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
-        """Functions next to a side, sorted.
-
-        Args:
-            patch: which patch.
-            direction: direction normal to the side.
-            end: its start (0) or end (1).
-            layers: rows of functions.
-        """
-
-    def where(self, predicate: Callable[[FloatArray], NDArray[np.bool_]]) -> IntArray:
-        """Functions whose control points lie in a region.
-
-        Args:
-            predicate: maps physical control points of shape (nsd, n) to a mask of shape (n,).
-
-        Returns:
-            Function numbers, sorted.
-
-        Raises:
-            ValueError: the predicate selects nothing or does not return a mask.
-        """
-        mask = np.asarray(predicate(self.points.T))
-        if mask.shape != (self.n,) or mask.dtype != bool:
-            raise ValueError(
-                f"predicate returned {mask.dtype} of shape {mask.shape}: bool of shape ({self.n},) required"
-            )
-        if not mask.any():
-            raise ValueError(f"predicate = {predicate!r} selects no control point: at least one is required")
-        return np.flatnonzero(mask).astype(np.int32)
-
-    def dofs(self, functions: ArrayLike, components: Sequence[int] | None = None) -> IntArray:
-        """Degrees of freedom of a vector field with nsd components.
-
-        Args:
-            functions: function numbers.
-            components: components of the field; None: all ``nsd``.
-
-        Returns:
-            Numbers function * nsd + component, sorted.
-
-        Raises:
-            ValueError: no such function or component, or a mask instead of numbers.
-        """
-        chosen = range(self.nsd) if components is None else components
-        parts = [checks.choice("components", c, tuple(range(self.nsd))) for c in chosen]
-        rows = checks.indices("functions", functions, self.n).ravel()
-        return np.unique(rows[:, None] * self.nsd + np.array(parts, dtype=np.int32)[None, :]).astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,43 +86,12 @@ class Patch(ControlNet):
             ValueError: another object, a trimmed surface, whose boundary curves a patch does not have, or a periodic
                 object whose start does not have the continuity that splipy says.
         """
-        from splipy import SplineObject, TrimmedSurface
-
-        if isinstance(shape, TrimmedSurface) or not isinstance(shape, SplineObject):
-            raise ValueError(
-                f"shape = {type(shape).__name__}: a splipy Curve, Surface or Volume is required; a trimmed surface has"
-                " to be cut into patches first"
-            )
-        bases, net = [], np.asarray(shape.controlpoints)
-        for direction, basis in enumerate(shape.bases):
-            wrapped = basis.periodic + 1
-            knots = basis.knots[wrapped : len(basis.knots) - wrapped]
-            if not np.allclose(knots[[0, -1]], [basis.start(), basis.end()], rtol=0, atol=1e-12 * np.ptp(knots)):
-                repeats = basis.order - 1 - basis.periodic
-                raise ValueError(
-                    f"shape has {basis.knots} in direction {direction}: {repeats} knots at both ends required"
-                )
-            bases.append(BSplineBasis(basis.order - 1, knots, wrapped > 0))
-            net = np.roll(net, -wrapped, axis=direction)
-        columns = net.reshape(-1, net.shape[-1], order="F")
-        if not shape.rational:
-            columns = np.column_stack([columns, np.ones(len(columns))])
-        return cls(tuple(bases), columns, side_names or {})
+        bases, columns = splipy_objects.read(shape)
+        return cls(bases, columns, side_names or {})
 
     def to_splipy(self) -> Any:
         """The patch as splipy Curve, Surface or Volume, with weights where it has any."""
-        from splipy import BSplineBasis as Knots
-        from splipy import Curve, Surface, Volume
-
-        knots, net = [], self.control.reshape([*(basis.n for basis in self.bases), -1], order="F")
-        for direction, basis in enumerate(self.bases):
-            extended, first = basis.extended
-            knots.append(Knots(basis.degree + 1, extended, -1 - first))
-            net = np.roll(net, -first, axis=direction)
-        columns = net.reshape(self.n, -1, order="F")
-        if not self.rational:
-            columns = columns[:, :-1]
-        return (Curve, Surface, Volume)[self.dim - 1](*knots, columns, self.rational)
+        return splipy_objects.write(self.bases, self.control, rational=self.rational)
 
     @cached_property
     def basis(self) -> TensorBasis:
@@ -286,12 +133,12 @@ class Patch(ControlNet):
         return known[checks.choice("name", name, tuple(known))]
 
     def locate_sides(self, names: Sequence[str], patch: int | None = None) -> list[tuple[int, int, int]]:
-        """Sides by name, see :meth:`ControlNet.locate_sides`."""
+        """Sides by name, see :meth:`tigar_x.geometry.net.ControlNet.locate_sides`."""
         checks.choice("patch", patch, (None, 0))
         return [(0, *self.locate_side(name)) for name in names or self.open_sides]
 
     def side_places(self) -> list[dict[str, tuple[int, int]]]:
-        """Sides by name, see :meth:`ControlNet.side_places`."""
+        """Sides by name, see :meth:`tigar_x.geometry.net.ControlNet.side_places`."""
         return [{name: SIDES[name] for name in self.open_sides} | dict(self.side_names)]
 
     @property
@@ -300,7 +147,7 @@ class Patch(ControlNet):
         return tuple(name for name, (d, _) in SIDES.items() if d < self.dim and not self.bases[d].periodic)
 
     def side_functions(self, patch: int, direction: int, end: int, layers: int = 1) -> IntArray:
-        """Functions next to a side, see :meth:`ControlNet.side_functions`."""
+        """Functions next to a side, see :meth:`tigar_x.geometry.net.ControlNet.side_functions`."""
         n = self.bases[direction].n
         if checks.whole("layers", layers, 1) > n:
             raise ValueError(f"layers = {layers}: direction {direction} has only {n} functions")

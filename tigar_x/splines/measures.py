@@ -3,9 +3,15 @@
 from copy import copy
 from typing import Any, Self
 
+import numpy as np
 import ufl
+from mpi4py import MPI
+from dolfinx import fem, mesh
+from petsc4py import PETSc
 
-from tigar_x import checks
+from tigar_x import checks, compat
+from tigar_x.compat import FloatArray
+from tigar_x.geometry.net import ControlNet
 
 
 class SplineMeasure:
@@ -49,6 +55,45 @@ class SideMeasure(SplineMeasure):
     def __init__(self, jacobian: Any, measure: ufl.Measure, normal: Any) -> None:
         super().__init__(jacobian, measure)
         self.normal = normal
+
+
+def nodal_integrals(V: fem.FunctionSpace, dx: SplineMeasure) -> FloatArray:
+    """Integrals of the nodal functions of a scalar space (collective).
+
+    Args:
+        V: the space.
+        dx: measure.
+
+    Returns:
+        One for each of this rank's nodes, ghosts included, shape (nodes,).
+    """
+    integrals = compat.create_vector(V)
+    compat.assemble_vector(integrals, compat.compile_forms(ufl.TestFunction(V) * dx)[0])
+    integrals.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+    integrals.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+    with integrals.localForm() as local:
+        return local.array.copy()
+
+
+def refuse_flat_elements(domain: mesh.Mesh, dx: SplineMeasure, geometry: ControlNet) -> None:
+    """Refuse a spline with an element that has no length, area or volume (collective).
+
+    Args:
+        domain: parametric mesh.
+        dx: measure of the reference configuration.
+        geometry: its control points.
+
+    Raises:
+        ValueError: there is one.
+    """
+    cells = compat.lagrange_space(domain, 0)
+    sizes = compat.create_vector(cells)
+    compat.assemble_vector(sizes, compat.compile_forms(ufl.TestFunction(cells) * dx)[0])
+    worst = np.nan_to_num(sizes.array_r, nan=0.0).min(initial=np.inf)
+    points = geometry.points
+    rounding = 1e-14 * np.abs(points).max() * np.ptp(points, axis=0).max() ** (geometry.dim - 1)
+    if not domain.comm.allreduce(worst, op=MPI.MIN) > rounding:
+        raise ValueError("geometry has an element of zero length or area: distinct control points are required")
 
 
 def require_sides(name: str, value: Any, domain: Any) -> None:

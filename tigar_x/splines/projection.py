@@ -12,7 +12,7 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.extracted import extracted_matrix
 from tigar_x.fem.linear import PreparedSolver, direct
-from tigar_x.geometry.patch import ControlNet
+from tigar_x.geometry.net import ControlNet
 from tigar_x.splines.measures import SplineMeasure
 from tigar_x.splines.space import SplineSpace
 
@@ -57,6 +57,14 @@ def fit(space: SplineSpace, mass: ufl.Form, load: ufl.Form, dofs: ArrayLike | No
     for finished in (solver, A, b, right, known, fitted):
         finished.destroy()
     return result
+
+
+def scalar_or_vector(f: Any) -> tuple[Any, int]:
+    """A scalar or a vector of two or more components, and their number; ValueError if it is neither."""
+    shape = ufl.as_ufl(f).ufl_shape
+    if len(shape) > 1:
+        raise ValueError(f"f has shape {shape}: a scalar or a vector is required")
+    return (f[0], 1) if shape == (1,) else (f, int(shape[0]) if shape else 1)
 
 
 class Projectable(Protocol):

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.geometry.functions import Cells, ParametricCells
-from tigar_x.geometry.patch import ControlNet
+from tigar_x.geometry.net import ControlNet
 from tigar_x.ranks import on_root, together
 from tigar_x.run.writing import replace_bytes
 from tigar_x.splines.spline import ExtractedSpline
@@ -129,11 +129,11 @@ class SavedGeometry(ControlNet):
         object.__setattr__(self, "control", self._check_control())
 
     def side_places(self) -> list[dict[str, tuple[int, int]]]:
-        """Sides by name, see :meth:`tigar_x.geometry.patch.ControlNet.side_places`."""
+        """Sides by name, see :meth:`tigar_x.geometry.net.ControlNet.side_places`."""
         return self.sides
 
     def locate_sides(self, names: Any, patch: int | None = None) -> list[tuple[int, int, int]]:
-        """Sides by name, see :meth:`tigar_x.geometry.patch.ControlNet.locate_sides`."""
+        """Sides by name, see :meth:`tigar_x.geometry.net.ControlNet.locate_sides`."""
         count = len(self.sides)
         chosen = range(count) if patch is None else [checks.choice("patch", patch, tuple(range(count)))]
         places = [

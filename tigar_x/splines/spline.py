@@ -15,17 +15,18 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 from numpy.typing import ArrayLike
-from petsc4py import PETSc
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.geometry.functions import Cells, within_patch
-from tigar_x.geometry.locate import closest_points
-from tigar_x.geometry.multipatch import MultiPatch, as_multipatch
-from tigar_x.geometry.patch import ControlNet, Patch
-from tigar_x.splines.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal, tagged_boundary
-from tigar_x.splines.measures import SideMeasure, SplineMeasure
-from tigar_x.splines.projection import LumpedProjector, fit
+from tigar_x.geometry.locate import points_on
+from tigar_x.geometry.multipatch import MultiPatch
+from tigar_x.geometry.net import ControlNet
+from tigar_x.geometry.patch import Patch
+from tigar_x.splines.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal
+from tigar_x.splines.measures import SideMeasure, SplineMeasure, nodal_integrals, refuse_flat_elements
+from tigar_x.splines.projection import LumpedProjector, fit, scalar_or_vector
+from tigar_x.splines.sides import named_or_outer, tag_of, tagged_sides
 from tigar_x.splines.space import SplineSpace
 
 
@@ -98,29 +99,12 @@ class ExtractedSpline:
         jacobian = ufl.sqrt(ufl.det(self.metric) if self.dim > 1 else self.metric[0, 0])
         metadata = {"quadrature_degree": self.quadrature_degree}
         self.dx = SplineMeasure(jacobian, ufl.dx(domain=self.mesh, metadata=metadata))
-        self._refuse_flat_elements()
-
-    def _refuse_flat_elements(self) -> None:
-        cells = compat.lagrange_space(self.mesh, 0)
-        form = compat.compile_forms(ufl.TestFunction(cells) * self.dx)[0]
-        sizes = compat.create_vector(cells)
-        compat.assemble_vector(sizes, form)
-        worst = np.nan_to_num(sizes.array_r, nan=0.0).min(initial=np.inf)
-        points = self.geometry.points
-        rounding = 1e-14 * np.abs(points).max() * np.ptp(points, axis=0).max() ** (self.dim - 1)
-        if not self.mesh.comm.allreduce(worst, op=MPI.MIN) > rounding:
-            raise ValueError("geometry has an element of zero length or area: distinct control points are required")
+        refuse_flat_elements(self.mesh, self.dx, geometry)
 
     @cached_property
     def node_areas(self) -> FloatArray:
         """Integrals of the nodal functions over the reference configuration, shape (nodes,)."""
-        V = self.scalar.V
-        areas = compat.create_vector(V)
-        compat.assemble_vector(areas, compat.compile_forms(ufl.TestFunction(V) * self.dx)[0])
-        areas.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        areas.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
-        with areas.localForm() as local:
-            return local.array.copy()
+        return nodal_integrals(self.scalar.V, self.dx)
 
     # -- fields -------------------------------------------------------------------------------------------------------
 
@@ -219,11 +203,7 @@ class ExtractedSpline:
         """
         if not isinstance(self.geometry, Patch | MultiPatch):
             raise ValueError(f"geometry = {type(self.geometry).__name__}: points can be located on patches only")
-        found = closest_points(self.geometry, points)
-        allowed = 1e-6 * float(np.ptp(self.geometry.points, axis=0).max()) if distance is None else distance
-        if len(found.distance) and found.distance.max() > allowed:
-            i = int(found.distance.argmax())
-            raise ValueError(f"points[{i}] is {found.distance[i]:.3g} away from the spline: {allowed:.3g} is allowed")
+        found = points_on(self.geometry, points, distance)
         values = np.empty((len(found.patch), u.function_space.dofmap.index_map_bs))
         for patch in range(len(self.geometry.functions.bases)):
             here = found.patch == patch
@@ -261,16 +241,8 @@ class ExtractedSpline:
 
     @cached_property
     def _ds(self) -> ufl.Measure:
-        """Exterior facets of the parametric mesh, numbered by patch, direction and end from 1."""
-        boxes = self.geometry.functions.boxes
-        parts = []
-        for k, box in enumerate(boxes):
-            slack = 1e-9 * (box[1] - box[0])
-            for direction in range(self.dim):
-                for end in (0, 1):
-                    tag = 1 + 2 * (self.dim * k + direction) + end
-                    parts.append((tag, _on_side(box, slack, direction, box[end, direction])))
-        tags = tagged_boundary(self.mesh, parts)
+        """Exterior facets of the parametric mesh, numbered by their sides."""
+        tags = tagged_sides(self.mesh, self.geometry.functions.boxes)
         metadata = {"quadrature_degree": self.quadrature_degree}
         return ufl.ds(domain=self.mesh, subdomain_data=tags, metadata=metadata)
 
@@ -287,18 +259,11 @@ class ExtractedSpline:
         Raises:
             ValueError: there is no such side or patch.
         """
-        tags = tuple(1 + 2 * (self.dim * k + direction) + end for k, direction, end in self._places(sides, patch))
+        tags = tuple(tag_of(place, self.dim) for place in named_or_outer(self.geometry, sides, patch))
         N = ufl.FacetNormal(self.mesh)
         # det(g) N . g^-1 N, which a collapsed side has as well
         stretch = ufl.sqrt(abs(ufl.dot(N, ufl.cofac(self.metric) * N))) if self.dim > 1 else 1.0
         return SideMeasure(stretch, self._ds(tags), N)
-
-    def _places(self, sides: Sequence[str], patch: int | None) -> list[tuple[int, int, int]]:
-        """Sides by name; none: those that make the boundary."""
-        if sides or not isinstance(self.geometry, Patch | MultiPatch):
-            return self.geometry.locate_sides(sides, patch)
-        whole = as_multipatch(self.geometry)
-        return [place for place in whole.outer_sides if patch is None or place[0] == whole.checked(patch)]
 
     @property
     def side_normal(self) -> Any:
@@ -321,7 +286,7 @@ class ExtractedSpline:
         Raises:
             ValueError: constrained is asked of a field of another size.
         """
-        f, size = _field(f)
+        f, size = scalar_or_vector(f)
         if constrained and size != self.nsd:
             raise ValueError(f"constrained = True: f has {size} components, conditions are known for {self.nsd}")
         space, w = self.vector if constrained else self.free(size), self.rationalize
@@ -343,7 +308,7 @@ class ExtractedSpline:
         Returns:
             Homogeneous field.
         """
-        f, size = _field(f)
+        f, size = scalar_or_vector(f)
         space, ds, w = self.free(size), self.ds(*sides, patch=patch), self.rationalize
         u, v = ufl.TrialFunction(space.V), ufl.TestFunction(space.V)
         mass, load = ufl.inner(w(u), w(v)) * ds, ufl.inner(f, w(v)) * ds
@@ -352,29 +317,10 @@ class ExtractedSpline:
             mass += slope_length**2 * ufl.inner(slope_u, slope_v) * ds
             load += slope_length**2 * ufl.inner(slope_f, slope_v) * ds
         layers = 1 if slope_length is None else 2
-        rows = [self.geometry.side_functions(*place, layers) for place in self._places(sides, patch)]
+        rows = [self.geometry.side_functions(*place, layers) for place in named_or_outer(self.geometry, sides, patch)]
         return fit(space, mass, load, np.unique(np.concatenate(rows))[:, None] * size + np.arange(size))
 
     @cached_property
     def lumped_projector(self) -> LumpedProjector:
         """The cheap projection of vector fields with a diagonal mass matrix."""
         return LumpedProjector(self, self.nsd)
-
-
-def _field(f: Any) -> tuple[Any, int]:
-    """A scalar or a vector of two or more components, and their number."""
-    shape = ufl.as_ufl(f).ufl_shape
-    if len(shape) > 1:
-        raise ValueError(f"f has shape {shape}: a scalar or a vector is required")
-    return (f[0], 1) if shape == (1,) else (f, int(shape[0]) if shape else 1)
-
-
-def _on_side(box: FloatArray, slack: FloatArray, direction: int, value: float) -> Any:
-    """Predicate of points of the parametric plane that lie on one side of a box."""
-
-    def on_side(x: FloatArray) -> Any:
-        dim = len(slack)
-        inside = (x[:dim] >= (box[0] - slack)[:, None]) & (x[:dim] <= (box[1] + slack)[:, None])
-        return inside.all(axis=0) & (np.abs(x[direction] - value) <= slack[direction])
-
-    return on_side
