@@ -54,6 +54,7 @@ MODULES |= {
 _NAMES = {
     ("tigar_x.multipatch", "tigar_x.geometry.gluing"): "ALL glued",
     ("tigar_x.output", "tigar_x.splines.vtu"): "VTUSeries",
+    ("tigar_x.patch", "tigar_x.geometry.net"): "ControlNet",
     ("tigar_x.ribbon", "shnapr.contact.piercings"): "piercings",
     ("tigar_x.script", "tigar_x.run.progress"): "Progress Stopwatch Termination peak_rss_mib rss_mib",
     ("tigar_x.script", "tigar_x.run.summary"): "Quantity plain table versions write_summary",
