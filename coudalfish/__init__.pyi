@@ -1,8 +1,8 @@
 """What ``coudalfish`` offers at its front; the modules have more."""
 
 from coudalfish.coupler import CouDALFISh as CouDALFISh
+from coudalfish.intervals import advance as advance
 from coudalfish.restart import CoupledState as CoupledState
-from coudalfish.run import advance as advance
 from coudalfish.sides.fluid import FluidSubproblem as FluidSubproblem
 from coudalfish.sides.shell import ShellSubproblem as ShellSubproblem
 from coudalfish.step.options import CouplingOptions as CouplingOptions

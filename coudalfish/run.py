@@ -1,53 +1,19 @@
-"""Coupled problems over many steps: intervals in which steps are cut where they fail, and whole runs."""
+"""Runs of a coupled problem, see :mod:`tigar_x.run.running`."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from coudalfish.intervals import Advanced, advance
 from coudalfish.restart import Coupled, CoupledState
-from coudalfish.step.report import StepError, StepReport
+from coudalfish.step.report import StepReport
 from tigar_x import checks
-from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.run.running import Run
-from tigar_x.run.stepping import CUT, cut_steps
 
 
-class Stepped(Coupled, Protocol):
-    """What is asked of a coupled problem to be stepped, see :class:`coudalfish.coupler.CouDALFISh`."""
+class Stepped(Advanced, Coupled, Protocol):
+    """What is asked of a coupled problem that is run, see :class:`coudalfish.coupler.CouDALFISh`."""
 
     step_size: float
-    watch: Any
-
-    @property
-    def integrators(self) -> tuple[TimeIntegrator, ...]:
-        """All that advance together; the first one has the clock."""
-
-    def takeStep(self, measure: Callable[[], Any] | None = None) -> StepReport:
-        """Advance by one time step, or raise StepError."""
-
-
-def advance(
-    fsi: Stepped, interval: float, *, halvings: int = 6, measure: Callable[[], Any] | None = None
-) -> list[StepReport]:
-    """Advance by an interval in one step or, where steps fail, in smaller ones.
-
-    Args:
-        fsi: what is coupled; its step size is ``interval`` afterwards.
-        interval: time to advance by; unit: time.
-        halvings: how often the step may be halved.
-        measure: called in every step with the new state before the clocks move.
-
-    Returns:
-        The reports of the steps, one if none failed.
-
-    Raises:
-        StepError: the smallest step failed as well; the state is that of the last good step.
-        ValueError: a number is out of range.
-    """
-
-    def tell(error: Exception, size: float) -> None:
-        fsi.watch.warn_once("cut", CUT, error, size)
-
-    return cut_steps(lambda: fsi.takeStep(measure), fsi.integrators, interval, StepError, halvings=halvings, tell=tell)
 
 
 class CoupledStepper:

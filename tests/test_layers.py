@@ -50,7 +50,7 @@ FLOORS = tuple(
         "coudalfish.surface",
         "coudalfish.sides",
         "coudalfish.step",
-        "coudalfish.restart",
+        "coudalfish.intervals coudalfish.restart",
         "coudalfish.run",
         "coudalfish.coupler",
         "coudalfish.problems",

@@ -13,11 +13,11 @@ from mpi4py import MPI
 from restarted import scene
 
 from coudalfish import CouplingOptions
+from tigar_x.fem.cutting import cut_steps
 from tigar_x.run.history import History
 from tigar_x.run.output import CSVSeries
 from tigar_x.run.progress import Progress
 from tigar_x.run.running import Run
-from tigar_x.run.stepping import cut_steps
 
 WORLD = MPI.COMM_WORLD
 

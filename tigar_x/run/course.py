@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
@@ -134,6 +133,8 @@ class Course:
     @cached_property
     def integral(self) -> float:
         """Integral over time, by trapezoids; unit: that of y times time."""
+        from scipy.integrate import trapezoid
+
         return float(trapezoid(self.y, self.t))
 
     @cached_property
