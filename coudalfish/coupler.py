@@ -14,6 +14,7 @@ import numpy as np
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import check_levels
+from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Outcome, Start, Step
 from coudalfish.step.levels import check_schemes
@@ -35,15 +36,19 @@ log = logging.getLogger(__name__)
 
 
 class CouDALFISh:
-    """Couples a fluid subproblem with a shell subproblem.
+    """Couples a flow with an immersed shell.
 
     Args:
-        fluid: the flow.
-        shell: the immersed structure.
+        fluid: the flow, such as varmint's ``Flow(..., immersed=True)``; or a :class:`FluidSubproblem`, of a residual
+            by hand.
+        shell: the immersed structure, such as shnapr's ``Shell``, which gets the flow's time step and the companion of
+            its scheme; or a :class:`ShellSubproblem`.
         options: how they are coupled.
         multiplier: initial multiplier, a number or shape (points,); unit: force/area.
 
     Attributes:
+        fluid: side of the fluid.
+        shell: side of the shell.
         mesh_f: fluid mesh.
         spline_sh: the shell's spline.
         timeInt_f: the flow's integrator.
@@ -60,33 +65,32 @@ class CouDALFISh:
 
     def __init__(
         self,
-        fluid: FluidSubproblem,
-        shell: ShellSubproblem,
+        fluid: FluidSubproblem | ImmersedFlow,
+        shell: ShellSubproblem | ImmersedShell,
         options: CouplingOptions | None = None,
         *,
         multiplier: float | FloatArray = 0.0,
     ) -> None:
-        self.fluid = fluid
-        self.shell = shell
         self.options = CouplingOptions() if options is None else options
-        self.mesh_f = fluid.mesh
-        self.spline_sh = shell.spline
-        self.timeInt_f = fluid.timeInt
-        self.timeInt_sh = shell.timeInt
-        self.contactContext_sh = shell.contact
+        checks.kind("options", self.options, CouplingOptions, "CouplingOptions")
+        self.fluid, self.shell = both_sides(fluid, shell)
+        self.mesh_f = self.fluid.mesh
+        self.spline_sh = self.shell.spline
+        self.timeInt_f = self.fluid.timeInt
+        self.timeInt_sh = self.shell.timeInt
+        self.contactContext_sh = self.shell.contact
         self._check()
-        points = len(shell.quadrature.points)
+        points = len(self.shell.quadrature.points)
         one = np.ndim(multiplier) == 0
         given = np.full(points, checks.finite("multiplier", multiplier)) if one else multiplier
         self.lam = checks.array("multiplier", given, (points,)).copy()
-        self.locator = PointLocator(fluid.mesh)
+        self.locator = PointLocator(self.mesh_f)
         self.floors: tuple[float, float] | None = None
-        self.watch = Watch(fluid, shell)
+        self.watch = Watch(self.fluid, self.shell)
+        for integrator in self.integrators:
+            integrator.coupled = True
 
     def _check(self) -> None:
-        d, nsd = self.fluid.mesh.geometry.dim, self.shell.spline.nsd
-        if d != nsd:
-            raise ValueError(f"the shell lives in {nsd} dimensions, the fluid in {d}: they must be equal")
         times = self.timeInt_f.time, self.timeInt_sh.time, self.timeInt_f.step_size, self.timeInt_sh.step_size
         if not (math.isclose(times[0], times[1], abs_tol=1e-12 * times[2]) and math.isclose(times[2], times[3])):
             raise ValueError(f"clocks (t, dt): fluid {times[0::2]}, shell {times[1::2]}: they must be equal")
@@ -150,6 +154,8 @@ class CouDALFISh:
         for integrator in self.integrators:
             integrator.advance()
         return report
+
+    take_step = takeStep
 
     def run(self, **options: Any) -> "Run":
         """A run of many steps, as an iterator of their reports, see :class:`tigar_x.run.running.Run`.

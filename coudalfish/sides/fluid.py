@@ -88,7 +88,7 @@ class FluidSubproblem:
         check_residual(residual_f, timeInt_f, mesh_f)
         check_band(residual_f, band)
         hooks: Any = {"updates": updates, "before": before, "rank_one": rank_one, "bcs": bcs}
-        check_needs(timeInt_f, moving=moving, solver=solver, density=density, viscosity=viscosity, **hooks)
+        check_needs(timeInt_f, band=band, moving=moving, solver=solver, density=density, viscosity=viscosity, **hooks)
         components = [compat.component_space(V, i) for i in range(d)]
         self.velocity_space = components[0][0]
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])

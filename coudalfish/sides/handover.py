@@ -62,6 +62,10 @@ class Needs(Protocol):
     def mu(self) -> fem.Constant:
         """Viscosity."""
 
+    @property
+    def scales(self) -> tuple[fem.Function, fem.Function] | None:
+        """Factor of tau_M and divisor of tau_C near an immersed surface; None: they are not in its residual."""
+
 
 @runtime_checkable
 class Demanding(Protocol):
@@ -105,12 +109,12 @@ def check_band(residual: ufl.Form, band: SurfaceBand | None) -> None:
     Raises:
         ValueError: it is not so.
     """
-    scales = [c for c in residual.coefficients() if isinstance(c, BandScale)]
+    coefficients = residual.coefficients()
     own = () if band is None else (band.scale_m, band.scale_c)
-    if any(all(c is not scale for scale in own) for c in scales):
+    if any(all(c is not scale for scale in own) for c in coefficients if isinstance(c, BandScale)):
         given = "None" if band is None else "another one"
         raise ValueError(f"band is {given}: the band whose scales the residual contains is required")
-    if band is not None and not scales:
+    if band is not None and not any(c is scale for scale in own for c in coefficients):
         raise ValueError(
             "band is given, and the residual has neither of its scales: give band.scale_m and band.scale_c to the"
             " form, or no band"
@@ -124,6 +128,7 @@ def check_needs(
     updates: Sequence[Callable[[float], None]],
     before: Sequence[Callable[[], None]],
     rank_one: Sequence[RankOne],
+    band: SurfaceBand | None,
     moving: MeshMotion | None,
     solver: LinearSolver | PETSc.KSP | None,
     density: float | None,
@@ -137,6 +142,7 @@ def check_needs(
         updates: see there.
         before: see there.
         rank_one: see there.
+        band: see there.
         moving: see there.
         solver: see there.
         density: see there.
@@ -156,6 +162,8 @@ def check_needs(
     for name, given, needed, why in hooks:
         if any(item not in given for item in needed):
             raise ValueError(f"{name} leaves out those of the flow: {name}=flow.{name} is required for {why}")
+    if needs.scales is not None and (band is None or band.scale_m is not needs.scales[0]):
+        raise ValueError("band is not that of the flow: band=SurfaceBand(mesh, flow.scales) is required")
     if moving is not needs.moving:
         found = "None" if moving is None else "another one than the flow's"
         raise ValueError(f"moving is {found}: moving=flow.moving is required, which the residual is pulled back by")

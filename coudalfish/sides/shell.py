@@ -1,6 +1,7 @@
 """The shell as the coupling sees it: a residual on a spline that every rank holds whole."""
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -9,14 +10,15 @@ from petsc4py import PETSc
 
 from coudalfish.sides.handover import check_residual
 from coudalfish.surface.sheets import Normals, Sheets
-from shnapr.contact.self_contact import ContactForces, SelfContact
-from shnapr.contact.system import ContactSystem
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline
 from tigar_x.splines.spline_system import SplineSystem
+
+if TYPE_CHECKING:  # a shell without contact imports none
+    from shnapr.contact import ContactForces, SelfContact
 
 ROUNDING = 1e-15
 """Rounding error of a residual relative to the terms in it."""
@@ -54,7 +56,7 @@ class ShellSubproblem:
         solver: LinearSolver | PETSc.KSP | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),
-        contact: SelfContact | None = None,
+        contact: "SelfContact | None" = None,
     ) -> None:
         check_residual(residual_sh, timeInt_sh, spline_sh.mesh)
         self.spline = spline_sh
@@ -64,13 +66,15 @@ class ShellSubproblem:
         self.quadrature = NodalQuadrature.of(spline_sh) if contact is None else contact.quadrature
         y: fem.Function = timeInt_sh.x
         jacobian = ufl.derivative(residual_sh, y) if tangent is None else tangent
-        self.system = (
-            SplineSystem(spline_sh, residual_sh, jacobian, solver, unknown=y, prefix="shell_")
-            if contact is None
-            else ContactSystem(
-                spline_sh, residual_sh, jacobian, contact, unknown=y, time=timeInt_sh, solver=solver, prefix="shell_"
-            )
-        )
+        forms = residual_sh, jacobian
+        self.system: Any
+        if contact is None:
+            self.system = SplineSystem(spline_sh, *forms, solver, unknown=y, prefix="shell_")
+        else:
+            from shnapr.contact.system import ContactSystem
+
+            given = {"unknown": y, "time": timeInt_sh, "solver": solver, "prefix": "shell_"}
+            self.system = ContactSystem(spline_sh, *forms, contact, **given)
         self.sheets = Sheets.of(spline_sh)
         self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)
 
@@ -120,9 +124,9 @@ class ShellSubproblem:
         return float(np.linalg.norm(self.system.extract(forces / self.quadrature.rational[:, None])))
 
     @property
-    def touching(self) -> ContactForces | None:
+    def touching(self) -> "ContactForces | None":
         """Contact at the state of the last residual; None where no points interact."""
-        forces = self.system.forces if isinstance(self.system, ContactSystem) else None
+        forces = None if self.contact is None else self.system.forces
         return forces if forces is not None and forces.pairs else None
 
     def closing_ratio(self) -> float:
@@ -136,7 +140,7 @@ class ShellSubproblem:
 
     def renew_contact(self) -> None:
         """Bring the tangent's part of contact, and nothing else of it, to the present state."""
-        if isinstance(self.system, ContactSystem):
+        if self.contact is not None:
             self.system.renew_contact()
 
     def assemble_tangent(self, W: FloatArray, penalty: float, *, positive: bool = False) -> None:
@@ -147,7 +151,7 @@ class ShellSubproblem:
             penalty: beta.
             positive: whether to leave out what makes the tangent of contact indefinite.
         """
-        if isinstance(self.system, ContactSystem):
+        if self.contact is not None:
             self.system.positive = positive
         diagonal = self.timeInt.xdot_factor * penalty * W / self.quadrature.rational**2
         self.system.assemble_tangent(np.repeat(diagonal[:, None], self.spline.nsd, axis=1))

@@ -21,16 +21,19 @@ class SurfaceBand:
 
     Args:
         mesh_f: fluid mesh.
+        scales: the two fields, constant in cells; None: they are made here.
 
     Attributes:
         scale_m: factor of tau_M, one outside the band.
         scale_c: divisor of tau_C, one outside the band.
     """
 
-    def __init__(self, mesh_f: mesh.Mesh) -> None:
-        cells = compat.lagrange_space(mesh_f, 0)
-        self.scale_m = BandScale(cells, name="scale_m")
-        self.scale_c = BandScale(cells, name="scale_c")
+    def __init__(self, mesh_f: mesh.Mesh, scales: tuple[fem.Function, fem.Function] | None = None) -> None:
+        if scales is None:
+            cells = compat.lagrange_space(mesh_f, 0)
+            scales = BandScale(cells, name="scale_m"), BandScale(cells, name="scale_c")
+        self.scale_m, self.scale_c = scales
+        cells = self.scale_m.function_space
         self._cell_dof = compat.cell_dofs(cells)[:, 0]
         vertices = compat.lagrange_space(mesh_f, 1)
         self._vertex_dofs = compat.cell_dofs(vertices)

@@ -1,7 +1,7 @@
 """A flow as one object: mesh, fluid and conditions become residual, boundary values, solver and steps.
 
 What the scene does not have is not in its forms, see :mod:`varmint.forms.vms`; what is compiled is compiled at the
-first solve. The residual, its conditions and its integrator can be given to a coupler instead of being solved here.
+first solve. A flow that is made for it (``immersed=True``) can be given to a coupler instead of being solved here.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import ufl
 from dolfinx import fem
 
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import IntArray
 from tigar_x.fem.line_search import LineSearch
 from tigar_x.fem.linear import LinearSolver, SolveError, automatic, chosen
@@ -34,7 +34,7 @@ from varmint.flow.pressure import by_null_space, pressure_pin
 from varmint.flow.start import consistent_start, set_state
 from varmint.flow.state import FlowState, Needs
 from varmint.flow.steady import continued
-from varmint.flow.terms import Interior, Term, boundary_terms, strong_values
+from varmint.flow.terms import Interior, Term, boundary_terms, strong_values, surface_scales
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
 from varmint.mesh.named import NamedMesh
@@ -62,8 +62,8 @@ class Flow:
         f: body force per mass; None: none.
         moving: motion of the mesh, with the same time step and scheme; None: it is fixed.
         solid: elastic solid in some cells of the mesh, which ``moving`` has to leave out; None: fluid alone.
-        scale_m: factor of tau_M near an immersed surface; None: no surface.
-        scale_c: divisor of tau_C near an immersed surface; None: no surface.
+        immersed: whether a surface may be immersed in the flow, whose equations then have factors of the stabilisation
+            parameters near it.
         options: see there.
 
     Attributes:
@@ -77,6 +77,8 @@ class Flow:
         v: velocity at the level of the equations, UFL.
         p: pressure, UFL.
         terms: parts of the residual, each with the facet groups of its condition, "fluid" or "solid".
+        scales: factor of tau_M and divisor of tau_C near an immersed surface, cell by cell, one until a coupler sets
+            them; None: no surface.
         updates: to be called with t_alpha at the start of every step by whoever steps the flow.
         is_closed: whether no boundary is open and no solid compressible, so that a constant of the pressure remains.
 
@@ -97,8 +99,7 @@ class Flow:
         f: Data = None,
         moving: PrescribedMotion | ElasticMotion | None = None,
         solid: Solid | None = None,
-        scale_m: Any = None,
-        scale_c: Any = None,
+        immersed: bool = False,
         options: FlowOptions | None = None,
     ) -> None:
         self.options = FlowOptions() if options is None else options
@@ -113,7 +114,8 @@ class Flow:
         self.rho, self.mu, self.v, self.p = self.fields.rho, self.fields.mu, self.fields.v, self.fields.p
         force = None if f is None else self.fields.vector("f", f)
         self._solid = SolidInFlow(solid, state, moving, force) if solid and isinstance(moving, ElasticMotion) else None
-        self._interior = Interior(state, self.options, force, scale_m, scale_c)
+        self.scales = surface_scales(mesh.domain) if checks.flag("immersed", immersed) else None
+        self._interior = Interior(state, self.options, force, *((None, None) if self.scales is None else self.scales))
         self.terms: list[Term] = [(("fluid",), self._interior.residual(self.v))]
         if self._solid is not None:
             self.terms.append((("solid",), self._solid.residual))
@@ -125,7 +127,7 @@ class Flow:
         self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
         if self.time is not None:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
-            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu)
+            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu, self.scales)
 
     # -- equations ----------------------------------------------------------------------------------------------------
 
@@ -151,9 +153,13 @@ class Flow:
     @property
     def bcs(self) -> list[Any]:
         """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
-        if not self.is_closed or by_null_space(self.options.pressure, self.recipe):
+        if not self.is_closed or self._by_null_space:
             return self._bcs
         return [*self._bcs, pressure_pin(self.V, self.mesh, self.fluid_cells, self.options.pin_at)]
+
+    @property
+    def _by_null_space(self) -> bool:
+        return by_null_space(self.options.pressure, self.recipe, immersed=self.scales is not None)
 
     @property
     def rank_one(self) -> tuple[OutletPressure, ...]:
@@ -182,8 +188,8 @@ class Flow:
     def recipe(self) -> LinearSolver:
         """Linear solver recipe, as PETSc's options with the prefix ``fluid_`` change it."""
         index_map = self.V.dofmap.index_map
-        size, surface = index_map.size_global * self.V.dofmap.index_map_bs, self._interior.scale_m is not None
-        dimension = None if surface else int(self.mesh.domain.geometry.dim)
+        size = index_map.size_global * self.V.dofmap.index_map_bs
+        dimension = None if self.scales is not None else int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
         default = automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
@@ -192,7 +198,7 @@ class Flow:
     @property
     def pressure_dofs(self) -> IntArray | None:
         """Where the pressure lies in the unknown, if its constant is left to the null space."""
-        if not (self.is_closed and by_null_space(self.options.pressure, self.recipe)):
+        if not (self.is_closed and self._by_null_space):
             return None
         return compat.component_space(self.V, self.mesh.domain.geometry.dim)[1]
 
@@ -262,6 +268,8 @@ class Flow:
         time = self.time
         if time is None:
             raise ValueError("dt = None: a steady flow has no steps")
+        if time.coupled:
+            raise ValueError("the flow is coupled with a shell: take the steps of what couples them")
         check_clock(time, self.moving)
         t, bring_back = float(time.t.value), self.system.remember_tangent()
         try:

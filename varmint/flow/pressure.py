@@ -16,16 +16,21 @@ NEAR = 1e-9
 """Relative to the size of the mesh, by how much a vertex may be farther than the nearest and count as nearest."""
 
 
-def by_null_space(chosen: str, recipe: LinearSolver) -> bool:
+def by_null_space(chosen: str, recipe: LinearSolver, *, immersed: bool = False) -> bool:
     """Whether an iterative solver leaves the constant alone, instead of a pin that fixes it.
 
     Args:
         chosen: see :class:`varmint.flow.options.FlowOptions`.
         recipe: linear solver.
+        immersed: whether a surface is immersed, along which the pressure jumps; then it is pinned.
 
     Raises:
-        ValueError: the null space is asked of a direct solver.
+        ValueError: the null space is asked of a direct solver, or with an immersed surface.
     """
+    if immersed:
+        if chosen == "null space":
+            raise ValueError("pressure = 'null space': 'pin' is required of a flow in which a surface is immersed")
+        return False
     if chosen == "null space" and recipe.is_direct:
         raise ValueError(f"pressure = 'null space': an iterative solver is required, {recipe.name} is given")
     return chosen == "null space" or (chosen == "automatic" and not recipe.is_direct)

@@ -35,6 +35,7 @@ class Needs:
         is_closed: whether a constant of its pressure remains.
         rho: density.
         mu: viscosity.
+        scales: factor of tau_M and divisor of tau_C near an immersed surface, cell by cell; None: there is none.
     """
 
     updates: tuple[Callable[[float], None], ...]
@@ -46,6 +47,7 @@ class Needs:
     is_closed: bool
     rho: fem.Constant
     mu: fem.Constant
+    scales: tuple[fem.Function, fem.Function] | None
 
 
 class FlowTime(TimeIntegrator):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import ufl
-from dolfinx import fem
+from dolfinx import fem, mesh
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
@@ -59,6 +59,19 @@ class Interior:
         w, x_tau = self.state.w, fem.Function(self.state.V)
         frozen = self.residual(ufl.replace(self.state.fields.v, {w: x_tau}))
         return frozen_tangent(frozen, w, x_tau)
+
+
+def surface_scales(domain: mesh.Mesh) -> tuple[fem.Function, fem.Function]:
+    """Factor of tau_M and divisor of tau_C near an immersed surface, cell by cell; both are one.
+
+    Args:
+        domain: mesh.
+    """
+    cells = compat.lagrange_space(domain, 0)
+    scales = fem.Function(cells, name="scale_m"), fem.Function(cells, name="scale_c")
+    for scale in scales:
+        scale.x.array[:] = 1.0
+    return scales
 
 
 def boundary_terms(conditions: Sequence[Condition], state: FlowState) -> tuple[list[Term], list[OutletPressure]]:
