@@ -128,7 +128,6 @@ def coupled() -> Any:
 
     rho, mu, dt, scheme = 1.0, 0.05, 0.01, generalized_alpha
     channel = box(MPI.COMM_WORLD, (0, 0), (3, 1), (24, 8))
-    band = SurfaceBand(channel.domain)
     flow = Flow(
         channel,
         [WeakVelocity(("left", "right", "bottom", "top"), walls)],
@@ -136,11 +135,16 @@ def coupled() -> Any:
         mu=mu,
         dt=dt,
         scheme=scheme(0.5),
-        scale_m=band.scale_m,
-        scale_c=band.scale_c,
+        immersed=True,
         options=FlowOptions(pressure="pin", pin_at=(3, 0)),
     )
-    known = {"bcs": flow.bcs, "updates": flow.updates, "band": band, "density": rho, "viscosity": mu}
+    known = {
+        "bcs": flow.bcs,
+        "updates": flow.updates,
+        "band": SurfaceBand(channel.domain, flow.scales),
+        "density": rho,
+        "viscosity": mu,
+    }
     fluid = FluidSubproblem(channel.domain, flow.residual, flow.time, **known)
 
     line = shapes.line((1, 0.005), (1, 0.6), elements=12, degree=2)

@@ -265,7 +265,6 @@ def build(
     """The valve at rest."""
     size = 2.0 * data.radius / resolution
     mesh = aortic_root(comm, size=grading * size, swept_size=size, radius=data.radius)
-    band = SurfaceBand(mesh.domain)
 
     def inflow(_: Any, t: Any) -> Any:
         return ufl.as_vector([0.0, 0.0, pressure(waveform, t, data)])
@@ -281,15 +280,14 @@ def build(
         mu=data.mu,
         dt=dt,
         scheme=generalized_alpha(data.rho_infinity),
-        scale_m=band.scale_m,
-        scale_c=band.scale_c,
+        immersed=True,
     )
     fluid = FluidSubproblem(
         mesh.domain,
         flow.residual,
         flow.time,
         bcs=flow.bcs,
-        band=band,
+        band=SurfaceBand(mesh.domain, flow.scales),
         solver=gmres_ilu(2, rtol=1e-5, rebuild_growth=1.5, fallback=direct()),
         updates=flow.updates,
         before=flow.before,

@@ -136,7 +136,7 @@ class Valve:
         )
 
 
-def make_flow(mesh: NamedMesh, data: Data, dt: float, band: SurfaceBand, options: FlowOptions) -> Flow:
+def make_flow(mesh: NamedMesh, data: Data, dt: float, options: FlowOptions) -> Flow:
     """Weak velocities on inlet and walls, a free outlet, slip on an extrusion's ends."""
     d = mesh.domain.geometry.dim
     ramp = fem.Constant(mesh.domain, 2.0 * dt)
@@ -154,8 +154,7 @@ def make_flow(mesh: NamedMesh, data: Data, dt: float, band: SurfaceBand, options
         mu=data.mu,
         dt=dt,
         scheme=generalized_alpha(data.rho_infinity),
-        scale_m=band.scale_m,
-        scale_c=band.scale_c,
+        immersed=True,
         options=options,
     )
 
@@ -229,14 +228,13 @@ def build(
     else:
         mesh = box(MPI.COMM_WORLD, *corners_and_counts)
     shell, material = make_leaflets(data, d, leaflet_elements, degree, dt)
-    band = SurfaceBand(mesh.domain)
-    flow = make_flow(mesh, data, dt, band, FlowOptions(invariant_metric=invariant_metric))
+    flow = make_flow(mesh, data, dt, FlowOptions(invariant_metric=invariant_metric))
     fluid = FluidSubproblem(
         mesh.domain,
         flow.residual,
         flow.time,
         bcs=flow.bcs,
-        band=band,
+        band=SurfaceBand(mesh.domain, flow.scales),
         updates=flow.updates,
         solver=solver,
         density=data.rho,

@@ -11,6 +11,7 @@ from scenes import free_sheet
 from test_solids import beam_flow
 
 from coudalfish import FluidSubproblem, ShellSubproblem, SurfaceBand
+from coudalfish.sides.handover import check_band
 from tigar_x.fem.linear import direct, gmres_ilu
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -103,13 +104,23 @@ def test_a_forgotten_solid_is_asked_for():
 
 
 def test_a_forgotten_band_is_asked_for():
-    mesh = square()
-    band, other = SurfaceBand(mesh.domain), SurfaceBand(mesh.domain)
-    flow = open_flow(mesh=mesh, scale_m=band.scale_m, scale_c=band.scale_c)
-    handed_over(flow, band=band)
+    flow = open_flow(immersed=True)
+    handed_over(flow, band=SurfaceBand(flow.mesh.domain, flow.scales))
+    with pytest.raises(ValueError, match=r"^band is not that of the flow: band=SurfaceBand\(mesh, flow.scales\) is re"):
+        handed_over(flow, band=None)
+    with pytest.raises(ValueError, match=r"^band is given, and the residual has neither of its scales"):
+        handed_over(flow, band=SurfaceBand(flow.mesh.domain))
+
+
+def test_a_forgotten_band_of_a_residual_by_hand_is_asked_for():
+    """Its scales are fields that know that a band brings them up to date."""
+    flow = open_flow()
+    band, other = SurfaceBand(flow.mesh.domain), SurfaceBand(flow.mesh.domain)
+    scaled = flow.residual + band.scale_m * flow.fields.q * flow.mesh.dx(degree=2)
     for wrong, said in ((None, "None"), (other, "another one")):
         with pytest.raises(ValueError, match=f"^band is {said}: the band whose scales the residual contains is requi"):
-            handed_over(flow, band=wrong)
+            check_band(scaled, wrong)
+    check_band(scaled, band)
 
 
 def test_a_band_whose_scales_were_not_given_to_the_flow():
