@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from shnapr import contact
 from shnapr.contact import LinearKernel, SelfContact, SmoothedKernel
 from tigar_x.fem.linear import SolveError
 from tigar_x.geometry import shapes
@@ -348,7 +347,7 @@ def pressed(rule, by=0.03):
 
 def said(caplog):
     """Records of contact alone: others tell of compilation."""
-    return [record for record in caplog.records if record.name == "shnapr.contact"]
+    return [record for record in caplog.records if record.name == "shnapr.contact.self_contact"]
 
 
 def test_patches_that_are_not_joined_touch_however_near_they_start(caplog):
@@ -630,7 +629,7 @@ def test_a_search_that_was_stopped_leaves_nothing_behind(monkeypatch):
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(contact, "cKDTree", fail)
+        patch.setattr("shnapr.contact.self_contact.cKDTree", fail)
         with pytest.raises(MemoryError):
             self_contact.evaluate(cloud.x)
     assert self_contact.evaluate(cloud.x).pairs == cloud.contact().evaluate(cloud.x).pairs > 0

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from flows import assembled
 from scenes import free_sheet
 
-from coudalfish import CouDALFISh, FluidSubproblem, SurfaceBand
+from coudalfish import CouDALFISh
 from tigar_x import compat
 from tigar_x.fem.linear import direct, gmres_ilu
 from tigar_x.fem.schemes import backward_euler, generalized_alpha
@@ -122,16 +122,10 @@ def test_a_sheet_in_a_duct_does_not_feel_the_size_of_a_resistance(solver):
     tips, passes = [], []
     for R in (0.0, 1e5, 1e8):
         mesh = duct_mesh(2)
-        band = SurfaceBand(mesh.domain)
         conditions = [Velocity(("bottom", "top")), Velocity("left", inflow), Resistance("right", R)]
-        scales = {"scale_m": band.scale_m, "scale_c": band.scale_c}
-        flow = Flow(mesh, conditions, rho=1.0, mu=MU, dt=0.02, **scales)
-        fluid = FluidSubproblem(
-            mesh.domain, flow.residual, flow.time, bcs=flow.bcs, band=band, solver=solver, updates=flow.updates,
-            before=flow.before, rank_one=flow.rank_one, density=1.0, viscosity=MU,
-        )  # fmt: skip
+        flow = Flow(mesh, conditions, rho=1.0, mu=MU, dt=0.02, immersed=True, options=FlowOptions(solver=solver))
         sheet = free_sheet(ends=((0.9, 0.2), (1.0, 0.7)), dt=0.02)
-        fsi = CouDALFISh(fluid, sheet.shell)
+        fsi = CouDALFISh(flow, sheet.shell)
         passes.append(sum(fsi.takeStep().passes for _ in range(4)))
         tips.append(sheet.y.x.array.copy())
     assert np.abs(tips[0]).max() > 1e-3

@@ -17,11 +17,9 @@ from test_moving_coupler import scene as moving_scene
 from coudalfish import (
     CouDALFISh,
     CouplingOptions,
-    FluidSubproblem,
     PenaltyRule,
     ShellSubproblem,
     StepError,
-    SurfaceBand,
 )
 from coudalfish.surface.exchange import VertexMeans
 from coudalfish.surface.slip import WINDOW, Slip, SlipWindow
@@ -32,7 +30,7 @@ from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.geometry import shapes
 from tigar_x.splines.spline import ExtractedSpline
 from varmint import conditions
-from varmint.flow import Flow
+from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
 
 
@@ -92,15 +90,11 @@ def piston(steps_per_period, n=16, mass_ratio=1.0, **options):
     """
     omega, dt, height = 2.0 * math.pi, 1.0 / steps_per_period, 0.25
     mesh = box(MPI.COMM_WORLD, (0.0, 0.0), (1.0, height), (n, n // 4), "triangle")
-    band, scheme = SurfaceBand(mesh.domain), generalized_alpha(0.5)
+    scheme, solved = generalized_alpha(0.5), FlowOptions(solver=direct())
     walls = conditions.Slip(("bottom", "top"))
-    scales = {"scale_m": band.scale_m, "scale_c": band.scale_c}
     ends = [conditions.Traction(side) for side in ("left", "right")]
-    flow = Flow(mesh, [walls, *ends], rho=1.0, mu=1e-3, dt=dt, scheme=scheme, **scales)
+    flow = Flow(mesh, [walls, *ends], rho=1.0, mu=1e-3, dt=dt, scheme=scheme, immersed=True, options=solved)
     flow.start((0.01 * omega, 0.0))
-    fluid = FluidSubproblem(
-        mesh.domain, flow.residual, flow.time, bcs=flow.bcs, band=band, solver=direct(), density=1.0, viscosity=1e-3
-    )
     line = shapes.line((0.52, 0.0), (0.52, height), elements=n // 2, degree=1)
     spline = ExtractedSpline(line, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=np.arange(line.basis.n) * 2 + 1)
     start = spline.function(np.tile([0.01 * omega, 0.0], (line.basis.n, 1)))
@@ -113,7 +107,7 @@ def piston(steps_per_period, n=16, mass_ratio=1.0, **options):
     residual += spring * ufl.inner(time.x_alpha, z) * spline.dx
     residual += rigidity * ufl.inner(ufl.grad(time.x_alpha), ufl.grad(z)) * ufl.dx(domain=spline.mesh)
     shell = ShellSubproblem(spline, residual, time)
-    fsi = CouDALFISh(fluid, shell, CouplingOptions(**options))
+    fsi = CouDALFISh(flow, shell, CouplingOptions(**options))
     path = [(0.0, 0.0)]
     while len(path) < 3 or path[-1][1] > 0.0:
         t = fsi.takeStep().t

@@ -73,8 +73,9 @@ class ShellSubproblem:
         else:
             from shnapr.contact.system import ContactSystem
 
-            given = {"unknown": y, "time": timeInt_sh, "solver": solver, "prefix": "shell_"}
-            self.system = ContactSystem(spline_sh, *forms, contact, **given)
+            self.system = ContactSystem(
+                spline_sh, *forms, contact, unknown=y, time=timeInt_sh, solver=solver, prefix="shell_"
+            )
         self.sheets = Sheets.of(spline_sh)
         self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)
 

@@ -133,11 +133,13 @@ class Shell(Scene):
             The report.
 
         Raises:
-            ValueError: the shell has no clock.
+            ValueError: the shell has no clock, or is coupled.
             ShellError: the step failed; the state is that before it.
         """
         if self.time is None:
             raise ValueError("dt = None: a shell without a clock takes no steps; solve() finds its equilibrium")
+        if self.time.coupled:
+            raise ValueError("the shell is coupled with a flow: take the steps of what couples them")
         return take_step(self.system, self.time, self.options, self.updates, self.copies, measure)
 
     # -- what follows from a state ------------------------------------------------------------------------------------

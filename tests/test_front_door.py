@@ -1,0 +1,174 @@
+"""A flow and a shell are coupled as they are: same numbers as by hand, and what is forgotten or mixed up is refused."""
+
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+from dolfinx import mesh
+from scenes import free_sheet, sheet_in_flow
+
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
+from shnapr.shell import Shell
+from shnapr.svk import StVenantKirchhoff
+from tigar_x.fem.linear import direct
+from tigar_x.fem.schemes import backward_euler, companion, generalized_alpha
+from tigar_x.geometry import shapes
+from varmint.conditions import Resistance, Velocity, WeakVelocity
+from varmint.flow import Flow, FlowOptions
+from varmint.mesh import box
+
+WORLD = MPI.COMM_WORLD
+DT = 0.05
+
+
+def square():
+    return box(WORLD, (0.0, 0.0), (1.0, 1.0), (4, 4), "triangle")
+
+
+def stream(x, t):
+    return ufl.as_vector([ufl.min_value(t, 1.0) * x[1] * (1.0 - x[1]), 0.0 * x[0]])
+
+
+def a_flow(*, enclosed=False, immersed=True, dt=DT, **options):
+    sides = [Velocity("left", stream), Velocity(("bottom", "top")), Resistance("right", 3.0)]
+    if enclosed:
+        sides = [WeakVelocity(("left", "right", "bottom", "top"), stream)]
+    return Flow(square(), sides, rho=1.0, mu=0.1, dt=dt, immersed=immersed, **options)
+
+
+def a_shell(ends=((0.5, 0.01), (0.5, 0.6)), **options):
+    line = shapes.line(*ends, elements=8, degree=2)
+    return Shell(line, StVenantKirchhoff(1e3, 0.3, 0.02), **({"density": 1.0, "clamped": ["u0"]} | options))
+
+
+@pytest.fixture
+def without_compilation(monkeypatch):
+    """What is refused has to be so before anything is compiled."""
+
+    def fail(*_, **__):
+        raise AssertionError("something is compiled")
+
+    monkeypatch.setattr("coudalfish.sides.fluid.FiniteElementSystem", fail)
+    monkeypatch.setattr("coudalfish.sides.shell.SplineSystem", fail)
+
+
+@pytest.mark.mpi
+def test_a_flow_and_a_shell_give_what_their_parts_give_by_hand():
+    """All that belongs to the flow comes along: conditions in time, an outlet with a resistance, scales, the solver."""
+    flow, shell = a_flow(options=FlowOptions(solver=direct())), a_shell()
+    fsi = CouDALFISh(flow, shell)
+    other = a_flow(options=FlowOptions(solver=direct()))
+    alike = a_shell(dt=DT, scheme=companion(other.time.scheme))
+    fluid = FluidSubproblem(
+        other.mesh.domain, other.residual, other.time, bcs=other.bcs, band=SurfaceBand(other.mesh.domain, other.scales),
+        solver=direct(), updates=other.updates, before=other.before, rank_one=other.rank_one, density=1.0,
+        viscosity=0.1,
+    )  # fmt: skip
+    by_hand = CouDALFISh(fluid, ShellSubproblem(alike.spline, alike.residual, alike.time, tangent=alike.tangent))
+    for _ in range(2):
+        report, expected = fsi.take_step(), by_hand.takeStep()
+    np.testing.assert_allclose(report.monitors.force, expected.monitors.force, rtol=1e-10)
+    np.testing.assert_allclose(flow.w.x.array, other.w.x.array, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(shell.y.x.array, alike.y.x.array, rtol=1e-10, atol=1e-14)
+    assert np.abs(shell.y.x.array).max() > 1e-8
+    assert set(flow.scales[0].x.array) == {1.0, 1e-3}
+    assert shell.time.scheme == companion(flow.time.scheme)
+    assert shell.time.step_size == DT
+
+
+def test_a_shell_that_was_stepped_before_goes_on_in_a_flow_at_the_same_time():
+    flow, shell = a_flow(), a_shell(dt=DT)
+    shell.take_step()
+    with pytest.raises(ValueError, match=r"^t = 0\.05: the shell has a clock of its own"):
+        CouDALFISh(flow, shell)
+
+
+FORGOTTEN = {
+    "a flow that no surface is immersed in": (
+        lambda: CouDALFISh(a_flow(immersed=False), a_shell()),
+        r"fluid was made without a surface in its equations: Flow\(..., immersed=True\) is required",
+    ),
+    "the time step of the flow": (
+        lambda: CouDALFISh(a_flow(dt=None), a_shell()),
+        r"fluid is a steady flow \(dt = None\): one that advances in time is required",
+    ),
+    "the density of the shell": (lambda: CouDALFISh(a_flow(), a_shell(density=None)), "density = None: one is require"),
+    "the shell": (lambda: CouDALFISh(a_flow(), None), "shell = None: a shell, .* is required"),
+    "a pin of the pressure": (
+        lambda: CouDALFISh(a_flow(enclosed=True, options=FlowOptions(pressure="null space")), a_shell()),
+        "pressure = 'null space': 'pin' is required of a flow in which a surface is immersed",
+    ),
+}
+
+MIXED_UP = {
+    "the arguments": (
+        lambda: CouDALFISh(a_shell(), a_flow()),
+        r"fluid = Shell.*: a flow, .* is required; CouDALFISh\(fluid, shell\) is the order of its arguments",
+    ),
+    "a mesh for a flow": (
+        lambda: CouDALFISh(mesh.create_unit_square(WORLD, 2, 2), a_shell()),
+        r"fluid = .*: a flow, such as varmint's Flow\(..., immersed=True\), or FluidSubproblem is required",
+    ),
+    "a residual for a flow": (lambda: CouDALFISh(a_flow().residual, a_shell()), "fluid = .*: a flow, .* is required"),
+    "a spline for a shell": (lambda: CouDALFISh(a_flow(), a_shell().spline), "shell = .*: a shell, .* is required"),
+    "the shell's time step": (
+        lambda: CouDALFISh(a_flow(), a_shell(dt=0.1)),
+        r"dt = 0\.1: the shell has a clock of its own, and 0\.05 is required",
+    ),
+    "the shell's scheme": (
+        lambda: CouDALFISh(a_flow(), a_shell(dt=DT, scheme=backward_euler(2))),
+        "scheme = Scheme.*: the shell has a clock of its own",
+    ),
+    "the published scheme of structures": (
+        lambda: CouDALFISh(a_flow(), a_shell(dt=DT, scheme=generalized_alpha(0.5, 2))),
+        "scheme = Scheme.*: the shell has a clock of its own",
+    ),
+    "dimensions": (
+        lambda: CouDALFISh(a_flow(), a_shell(((0.5, 0.0, 0.0), (0.5, 0.6, 0.0)))),
+        "the shell lives in 3 dimensions, the fluid in 2: they must be equal",
+    ),
+    "options of the flow": (
+        lambda: CouDALFISh(a_flow(), a_shell(), FlowOptions()),
+        r"options = FlowOptions.*: CouplingOptions is required",
+    ),
+    "points and multiplier": (
+        lambda: CouDALFISh(sheet_in_flow().fluid, free_sheet().shell, multiplier=np.zeros(3)),
+        r"multiplier has shape \(3,\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", FORGOTTEN)
+def test_what_is_forgotten_is_asked_for(what, without_compilation):
+    script, message = FORGOTTEN[what]
+    with pytest.raises(ValueError, match=f"^{message}"):
+        script()
+
+
+@pytest.mark.parametrize("what", [name for name in MIXED_UP if name != "points and multiplier"])
+def test_what_is_mixed_up_is_refused(what, without_compilation):
+    script, message = MIXED_UP[what]
+    with pytest.raises(ValueError, match=f"^{message}"):
+        script()
+
+
+def test_a_multiplier_of_other_points_is_refused():
+    script, message = MIXED_UP["points and multiplier"]
+    with pytest.raises(ValueError, match=f"^{message}"):
+        script()
+
+
+@pytest.mark.skipif(WORLD.size == 1, reason="one rank has all of a spline")
+@pytest.mark.mpi
+def test_a_distributed_shell_is_refused(without_compilation):
+    with pytest.raises(ValueError, match="the shell's spline is distributed"):
+        CouDALFISh(a_flow(), a_shell(comm=WORLD))
+
+
+def test_a_side_of_a_coupled_run_does_not_step_alone():
+    """Nothing would act on it."""
+    flow, shell = a_flow(), a_shell()
+    CouDALFISh(flow, shell, CouplingOptions(penalty=10.0))
+    for side, name in ((flow, "flow"), (shell, "shell")):
+        with pytest.raises(ValueError, match=f"^the {name} is coupled with a"):
+            side.take_step()
