@@ -90,6 +90,10 @@ class CouDALFISh:
         for integrator in self.integrators:
             integrator.coupled = True
 
+    def __repr__(self) -> str:
+        time = self.timeInt_f
+        return f"CouDALFISh({self.fluid!r}, {self.shell!r}, t = {time.time:g}, dt = {time.step_size:g})"
+
     def _check(self) -> None:
         times = self.timeInt_f.time, self.timeInt_sh.time, self.timeInt_f.step_size, self.timeInt_sh.step_size
         if not (math.isclose(times[0], times[1], abs_tol=1e-12 * times[2]) and math.isclose(times[2], times[3])):

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 from coudalfish.intervals import Advanced, advance
 from coudalfish.restart import Coupled, CoupledState
 from coudalfish.step.report import StepReport
-from tigar_x import checks
+from tigar_x import checks, compat
 from tigar_x.run.running import Run
 
 
@@ -44,9 +44,8 @@ class CoupledStepper:
     @property
     def sizes(self) -> dict[str, int]:
         """Unknowns of the fluid, and coefficients of the shell."""
-        dofmap, spline = self._fsi.timeInt_f.x.function_space.dofmap, self._fsi.spline_sh
-        fluid = dofmap.index_map.size_global * dofmap.index_map_bs
-        return {"dofs_fluid": int(fluid), "dofs_shell": int(spline.geometry.n * spline.nsd)}
+        fluid, spline = self._fsi.timeInt_f.x.function_space, self._fsi.spline_sh
+        return {"dofs_fluid": compat.unknowns(fluid), "dofs_shell": spline.vector.n}
 
     def advance(self, interval: float, measure: Callable[[], Any] | None) -> list[StepReport]:
         """Advance by an interval, see :func:`advance`."""

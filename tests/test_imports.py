@@ -50,7 +50,6 @@ COUPLED = (
 """What a coupled run without contact imports."""
 
 
-@pytest.mark.xfail(reason="the shell's side imports contact", strict=True)
 def test_a_coupled_scene_without_contact_loads_no_mesher_plotter_or_contact():
     loaded = modules_loaded_by(COUPLED)
     assert not {name.split(".")[0] for name in loaded} & OPTIONAL

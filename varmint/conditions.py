@@ -122,6 +122,9 @@ class Condition:
 
     on: str | Sequence[str]
 
+    def __str__(self) -> str:
+        return f"{type(self).__name__} on {', '.join(self.groups)}"
+
     @property
     def groups(self) -> tuple[str, ...]:
         """Names of the facet groups."""

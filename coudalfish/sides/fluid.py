@@ -105,6 +105,11 @@ class FluidSubproblem:
         self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
         self._product, self._reference = self.system.b.duplicate(), 0.0
 
+    def __repr__(self) -> str:
+        parts = [f"{compat.unknowns(self.timeInt.x.function_space)} unknowns in {self.mesh.geometry.dim}D"]
+        parts += [word for word, part in (("band", self.band), ("moving mesh", self.moving)) if part is not None]
+        return f"FluidSubproblem({', '.join(parts)})"
+
     def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""
         dofs, a = self.velocity_dofs[trace.nodes], self.timeInt.x_factor

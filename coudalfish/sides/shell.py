@@ -79,6 +79,10 @@ class ShellSubproblem:
         self.sheets = Sheets.of(spline_sh)
         self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)
 
+    def __repr__(self) -> str:
+        contact = "" if self.contact is None else ", contact"
+        return f"ShellSubproblem({self.spline.vector.n} coefficients, {len(self.quadrature.points)} points{contact})"
+
     def _physical(self, array: FloatArray) -> FloatArray:
         return array.reshape(-1, self.spline.nsd) / self.quadrature.rational[:, None]
 

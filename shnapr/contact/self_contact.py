@@ -125,6 +125,9 @@ class SelfContact:
         self._allowed = self._keys(self.apart) if neighbours == "surface" else np.empty(0, dtype=np.intp)
         self._report(neighbours)
 
+    def __repr__(self) -> str:
+        return f"SelfContact({len(self._used)} points, {self.kernel!r}, r_self = {self.r_self:g})"
+
     def _report(self, neighbours: Neighbours) -> None:
         """Say how many pairs start within range without being neighbours."""
         if not len(self.apart):

@@ -62,6 +62,7 @@ from tigar_x.compat.spaces import (
     subcells,
     tabulate,
     tabulate_gradients,
+    unknowns,
 )
 from tigar_x.compat.symbols import Constant, ask, given, is_function
 
@@ -86,6 +87,7 @@ __all__ = [
     "subcells",
     "tabulate",
     "tabulate_gradients",
+    "unknowns",
     "Constant",
     "ask",
     "given",

@@ -181,6 +181,11 @@ def lagrange_degree(space: fem.FunctionSpace) -> int:
     return int(degree() if VERSION < (0, 9) else degree)
 
 
+def unknowns(space: fem.FunctionSpace) -> int:
+    """Number of degrees of freedom on all ranks (not collective)."""
+    return int(space.dofmap.index_map.size_global * space.dofmap.index_map_bs)
+
+
 def subcells(space: fem.FunctionSpace) -> tuple[str, IntArray]:
     """Linear cells between neighbouring nodes, ``degree`` of them per direction in every element.
 

@@ -90,6 +90,11 @@ class TimeIntegrator:
         self.t_alpha = compat.Constant(V.mesh, self._t_n)
         self._set_clock()
 
+    def __repr__(self) -> str:
+        c, x = self.scheme, f"{self.x.name} of {compat.unknowns(self.x.function_space)} unknowns"
+        scheme = f"order {c.order}, alpha_f = {c.alpha_f:g}, alpha_m = {c.alpha_m:g}"
+        return f"TimeIntegrator({x}, t = {self.time:g}, dt = {self.step_size:g}, {scheme})"
+
     def _set_clock(self) -> None:
         step = self.step_size
         self.t.value = self._t_n + step

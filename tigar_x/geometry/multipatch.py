@@ -16,7 +16,7 @@ TOLERANCE = 1e-8
 """Control points closer than this, relative to the model's size, are one."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MultiPatch(ControlNet):
     """Several patches as one geometry; made by :func:`disjoint`, or by gluing.
 

@@ -34,6 +34,20 @@ class ControlNet(ABC):
         control.flags.writeable = False
         return control
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.outline})"
+
+    @property
+    def outline(self) -> str:
+        """What it is, in a few words."""
+        kind, patches = ("curve", "surface", "volume")[self.dim - 1], len(self.functions.boxes)
+        degree = " x ".join(map(str, self.functions.degrees))
+        parts = [
+            f"{kind} in {self.nsd}D",
+            f"{self.n} {'rational ' if self.rational else ''}functions of degree {degree}",
+        ]
+        return ", ".join([*parts, f"{patches} patches"] if patches > 1 else parts)
+
     @property
     def n(self) -> int:
         """Number of functions."""

@@ -19,7 +19,7 @@ SIDES = {f"{axis}{end}": (direction, end) for direction, axis in enumerate("uvw"
 """Names of the sides: the direction that is normal to the side, and its start (0) or end (1)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Patch(ControlNet):
     """One B-spline or NURBS patch: a curve (parametric dimension 1), a surface (2) or a volume (3).
 

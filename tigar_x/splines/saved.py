@@ -111,7 +111,7 @@ class SavedFunctions:
         raise ValueError(f"{name} = {other!r}: a saved extraction has fields of its own functions only")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SavedGeometry(ControlNet):
     """Geometry of a saved extraction.
 

@@ -144,8 +144,7 @@ class SplineSpace:
         Raises:
             ValueError: the field is not one of this space.
         """
-        dofmap = u.function_space.dofmap
-        found = dofmap.index_map.size_global * dofmap.index_map_bs
+        found = compat.unknowns(u.function_space)
         if found != self.M.size[0]:
             raise ValueError(f"u has {found} nodal values: a field of this space, with {self.M.size[0]}, is required")
         nodal, rest, load, increment = self._work

@@ -101,6 +101,12 @@ class ExtractedSpline:
         self.dx = SplineMeasure(jacobian, ufl.dx(domain=self.mesh, metadata=metadata))
         refuse_flat_elements(self.mesh, self.dx, geometry)
 
+    def __repr__(self) -> str:
+        space, cells = self.vector, self.mesh.topology.index_map(self.dim).size_global
+        held = f"{space.n} coefficients, {len(space.fixed)} held"
+        held += f", {space.constraints.shape[0]} constraints" if space.constraints.shape[0] else ""
+        return f"ExtractedSpline({self.geometry.outline}, {cells} {compat.cell_name(self.mesh)} cells, {held})"
+
     @cached_property
     def node_areas(self) -> FloatArray:
         """Integrals of the nodal functions over the reference configuration, shape (nodes,)."""

@@ -129,6 +129,9 @@ class Flow:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
             self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu, self.scales)
 
+    def __repr__(self) -> str:
+        return f"Flow({self._state.outline}, {'; '.join(map(str, self.conditions))})"
+
     # -- equations ----------------------------------------------------------------------------------------------------
 
     @property
@@ -153,9 +156,9 @@ class Flow:
     @property
     def bcs(self) -> list[Any]:
         """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
-        pinned = self.is_closed and not self._by_null_space
-        pin = [pressure_pin(self.V, self.mesh, self.fluid_cells, self.options.pin_at)] if pinned else []
-        return [*self._bcs, *pin]
+        if not self.is_closed or self._by_null_space:
+            return self._bcs
+        return [*self._bcs, pressure_pin(self.V, self.mesh, self.fluid_cells, self.options.pin_at)]
 
     @property
     def _by_null_space(self) -> bool:
@@ -177,29 +180,26 @@ class Flow:
     @property
     def components(self) -> dict[str, tuple[fem.Function, tuple[int, ...]]]:
         """Fields of a series of files by name, each a function and its components."""
-        d = int(self.mesh.domain.geometry.dim)
-        axes = tuple(range(d))
+        axes = tuple(range(self.fields.d))
         moved = {} if self.moving is None else {"mesh_displacement": (self.moving.time.x, axes)}
-        return {"velocity": (self.w, axes), "pressure": (self.w, (d,)), **moved}
+        return {"velocity": (self.w, axes), "pressure": (self.w, (len(axes),)), **moved}
 
     # -- systems ------------------------------------------------------------------------------------------------------
 
     @cached_property
     def recipe(self) -> LinearSolver:
         """Linear solver recipe, as PETSc's options with the prefix ``fluid_`` change it."""
-        index_map = self.V.dofmap.index_map
-        size = index_map.size_global * self.V.dofmap.index_map_bs
         dimension = None if self.scales is not None else int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
-        default = automatic(size, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
+        default = automatic(self.unknowns, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
         return chosen(self.options.solver, default, PREFIX)
 
     @property
     def pressure_dofs(self) -> IntArray | None:
         """Where the pressure lies in the unknown, if its constant is left to the null space."""
-        left = self.is_closed and self._by_null_space
-        return compat.component_space(self.V, self.mesh.domain.geometry.dim)[1] if left else None
+        free = self.is_closed and self._by_null_space
+        return compat.component_space(self.V, self.fields.d)[1] if free else None
 
     @cached_property
     def system(self) -> FiniteElementSystem:
@@ -217,7 +217,7 @@ class Flow:
     @property
     def unknowns(self) -> int:
         """Global number of unknowns."""
-        return int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
+        return compat.unknowns(self.V)
 
     # -- states -------------------------------------------------------------------------------------------------------
 

@@ -85,6 +85,12 @@ class FlowState:
     fluid_cells: tuple[str, ...]
 
     @property
+    def outline(self) -> str:
+        """Its sizes and its time in a few words."""
+        when = "steady" if self.time is None else f"t = {self.time.time:g}, dt = {self.time.step_size:g}"
+        return f"{compat.unknowns(self.V)} unknowns of degree {self.degree} in {self.fields.d}D, {when}"
+
+    @property
     def mesh(self) -> NamedMesh:
         """Mesh with named groups."""
         return self.fields.mesh

@@ -44,6 +44,13 @@ class NamedMesh:
     cell_names: tuple[str, ...] = ()
     inner_facet_names: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        number = self.domain.topology.index_map(self.domain.topology.dim).size_global
+        parts = [f"{number} {compat.cell_name(self.domain)} cells in {self.domain.geometry.dim}D"]
+        parts += [f"facets {', '.join(self.facet_names)}"] if self.facet_names else []
+        parts += [f"cells {', '.join(self.cell_names)}"] if self.cell_names else []
+        return f"NamedMesh({'; '.join(parts)})"
+
     def facets(self, *names: str) -> IntArray:
         """Local numbers of the facets of groups, sorted, ghosts as well.
 
