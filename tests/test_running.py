@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from restarted import scene
+from test_restart import flow
+from test_shell import panel
 
 from coudalfish import CouplingOptions
 from tigar_x.fem.cutting import cut_steps
@@ -18,6 +20,9 @@ from tigar_x.run.history import History
 from tigar_x.run.output import CSVSeries
 from tigar_x.run.progress import Progress
 from tigar_x.run.running import Run
+from varmint.conditions import Velocity
+from varmint.flow import Flow, FlowError
+from varmint.mesh import box
 
 WORLD = MPI.COMM_WORLD
 
@@ -479,6 +484,56 @@ def test_a_coupled_run_is_its_steps(folder):
     assert set(found["monitors"]) == {
         *("cut_steps", "slip_ratio_max", "normal_slip_max", "leak_max", "force_imbalance_max", "more")
     }
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_run_of_a_flow_is_its_steps_and_goes_on(moves, folder):
+    made, whole, resumed = flow(moves), flow(moves), flow(moves)
+    run = made.run(until=0.4, out=folder, checkpoint_every=2, history={"iterations": "iterations"}, show=False)
+    reports = list(run)
+    expected = [whole.take_step() for _ in range(4)]
+    assert [report.t for report in reports] == [report.t for report in expected]
+    list(resumed.run(until=0.4, out=folder, restart=2, history={"iterations": "iterations"}, show=False))
+    for other in (whole, resumed):
+        np.testing.assert_allclose(other.w.x.array, made.w.x.array, rtol=0, atol=1e-10)
+    found = run.summary("cavity")
+    assert found["dofs_fluid"] == 75
+    assert found["newton_iterations_mean"] == np.mean([report.iterations for report in expected])
+    assert found["tangents_mean"] == np.mean([report.tangents for report in expected])
+
+
+def test_a_step_of_a_flow_on_a_moving_mesh_is_cut():
+    """Flow and mesh keep one clock through it."""
+    made, attempts = flow(moves=True), []
+
+    def failing():
+        attempts.append(made.time.step_size)
+        if made.time.step_size > 0.06:
+            raise FlowError("too large", 0.0)
+
+    run = made.run(steps=1, measure=failing, show=False)
+    list(run)
+    assert attempts == pytest.approx([0.1, 0.05, 0.05])
+    assert made.time.time == made.moving.time.time == pytest.approx(0.1)
+    assert made.time.step_size == made.moving.time.step_size == 0.1
+
+
+def test_a_run_of_a_shell_is_its_steps():
+    made, whole = (panel(density=1.0, dt=0.05) for _ in range(2))
+    run = made.run(until=0.15, history={"energy": lambda: made.energies().elastic}, show=False)
+    assert [report.residuals for report in run] == [whole.take_step().residuals for _ in range(3)]
+    assert (made.y.x.array == whole.y.x.array).all()
+    assert run.history["energy"][-1] == made.energies().elastic > 0.0
+
+
+def test_what_has_no_clock_cannot_be_run():
+    steady = Flow(
+        box(WORLD, (0.0, 0.0), (1.0, 1.0), (1, 1)), [Velocity(("left", "right", "bottom", "top"))], rho=1.0, mu=1.0
+    )
+    for made in (steady, panel()):
+        with pytest.raises(ValueError, match="dt = None"):
+            made.run(steps=1)
 
 
 # -- presets ----------------------------------------------------------------------------------------------------------

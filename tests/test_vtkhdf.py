@@ -85,6 +85,23 @@ def test_vtkhdf_has_the_mesh_and_the_vertex_values(cell, path):
     assert sum(abs(volume(k, x[corners])) for k, corners in cells) == pytest.approx(1.0, rel=1e-12)
 
 
+@pytest.mark.mpi
+def test_vtkhdf_computes_what_is_computed_when_it_writes(path):
+    domain = mesh.create_unit_square(WORLD, 2, 2)
+    (w, scale), factors = function(domain), iter([1.0, 5.0, 7.0])
+
+    def computed():
+        scale(next(factors))
+        return w
+
+    with VTKHDFSeries(path, domain, velocity=(computed, (0, 1)), pressure=(w, (2,))) as movie:
+        for step in range(2):
+            movie.write(float(step))
+    x, _, steps = read_vtkhdf(path)
+    for (_, fields), factor in zip(steps, (5.0, 7.0), strict=True):
+        assert_is(fields, x, factor)
+
+
 def test_vtkhdf_opens_in_vtk(path):
     vtk = pytest.importorskip("vtk", reason="the library of ParaView")
     from vtk.util.numpy_support import vtk_to_numpy

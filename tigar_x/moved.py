@@ -64,7 +64,7 @@ _NAMES = {
     ("varmint.attachments", "varmint.flow.pressure"): "NEAR pressure_pin",
     ("varmint.attachments", "varmint.flow.state"): "FlowTime Needs",
     ("varmint.conditions", "tigar_x.compat"): "given",
-    ("coudalfish.coupler", "coudalfish.run"): "advance",
+    ("coudalfish.coupler", "coudalfish.intervals"): "advance",
     ("coudalfish.subproblems", "coudalfish.sides.shell"): "ROUNDING ShellSubproblem",
 }
 

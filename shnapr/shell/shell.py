@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from shnapr.shell.statics import Statics
     from tigar_x.fem.eigen import Eigenpairs
     from tigar_x.fem.load_stepping import LoadReport, StepControl
+    from tigar_x.run.running import Run
 
 __all__ = ["Shell"]
 
@@ -141,6 +142,26 @@ class Shell(Scene):
         if self.time.coupled:
             raise ValueError("the shell is coupled with a flow: take the steps of what couples them")
         return take_step(self.system, self.time, self.options, self.updates, self.copies, measure)
+
+    def run(self, *, halvings: int = 6, **options: Any) -> "Run":
+        """A run of many steps, as an iterator of their reports.
+
+        Args:
+            halvings: how often a step that fails may be halved.
+            options: see :class:`tigar_x.run.running.Run`.
+
+        Raises:
+            ValueError: the shell has no clock, or an option is not allowed.
+        """
+        from tigar_x.run.running import Run  # single steps need nothing of it
+        from tigar_x.run.stepping import IntegratorStepper
+
+        if self.time is None:
+            raise ValueError("dt = None: a shell without a clock takes no steps; solve() finds its equilibrium")
+        sizes = {"dofs_shell": self.spline.geometry.n * self.spline.nsd}
+        return Run(
+            IntegratorStepper(self.take_step, ShellError, halvings=halvings, sizes=sizes, shell=self.time), **options
+        )
 
     # -- what follows from a state ------------------------------------------------------------------------------------
 

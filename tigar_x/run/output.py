@@ -85,7 +85,7 @@ class XDMFSeries(Series):
     Args:
         path: file name ending in ``.xdmf``; its folder is made.
         domain: mesh.
-        fields: for every name a function and the components to write, such as ``velocity=(w, (0, 1))``.
+        fields: for every name a function, or what computes one, and the components to write: ``velocity=(w, (0, 1))``.
 
     Raises:
         ValueError: the file or a field has a name that readers of XDMF or HDF5 would take apart.

@@ -1,14 +1,14 @@
 """Components of finite element functions as linear functions, which every viewer of files understands."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from dolfinx import fem, mesh
 
 from tigar_x import compat
 from tigar_x.compat import IntArray
 
-Components = tuple[fem.Function, Sequence[int]]
-"""A function and the components of it that make a field."""
+Components = tuple[fem.Function | Callable[[], fem.Function], Sequence[int]]
+"""A function, or what computes it from the present state, and the components of it that make a field."""
 
 
 class VertexValues:
@@ -16,7 +16,7 @@ class VertexValues:
 
     Args:
         domain: mesh.
-        fields: what to copy, by name.
+        fields: what to copy, by name; what computes a function gives the same one every time.
 
     Attributes:
         functions: the linear functions, of as many components as were chosen, by name.
@@ -28,8 +28,14 @@ class VertexValues:
     def __init__(self, domain: mesh.Mesh, fields: Mapping[str, Components]) -> None:
         self.functions: dict[str, fem.Function] = {}
         self._pairs: list[tuple[fem.Function, IntArray, fem.Function, IntArray]] = []
+        self._computed: list[Callable[[], fem.Function]] = []
         vertices = compat.cell_vertices(domain).shape[1]
-        for name, (source, components) in fields.items():
+        for name, (given, components) in fields.items():
+            if isinstance(given, fem.Function):
+                source = given
+            else:
+                source = given()
+                self._computed.append(given)
             size = len(components)
             target = fem.Function(compat.lagrange_space(domain, 1, size), name=name)
             to = compat.cell_dofs(target.function_space)[:, :vertices].ravel()
@@ -40,6 +46,8 @@ class VertexValues:
             self.functions[name] = target
 
     def update(self) -> None:
-        """Copy the present values."""
+        """Compute what is computed, and copy the present values."""
+        for compute in self._computed:
+            compute()
         for target, to, source, origin in self._pairs:
             target.x.array[to] = source.x.array[origin]

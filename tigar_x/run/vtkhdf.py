@@ -44,7 +44,7 @@ class VTKHDFSeries(Series):
         after: time from which a run goes on: steps of an earlier series are kept up to then, and those that are later
             are deleted; None: a new series in the place of an earlier one.
         single: whether values are stored in single precision, in half the space.
-        fields: for every name a function and the components to write, such as ``velocity=(w, (0, 1))``.
+        fields: for every name a function, or what computes one, and the components to write: ``velocity=(w, (0, 1))``.
 
     Raises:
         ImportError: h5py is missing.

@@ -156,9 +156,9 @@ class Flow:
     @property
     def bcs(self) -> list[Any]:
         """Strong boundary conditions, with the pinned pressure where that is what fixes its constant."""
-        if not self.is_closed or self._by_null_space:
-            return self._bcs
-        return [*self._bcs, pressure_pin(self.V, self.mesh, self.fluid_cells, self.options.pin_at)]
+        pinned = self.is_closed and not self._by_null_space
+        pin = [pressure_pin(self.V, self.mesh, self.fluid_cells, self.options.pin_at)] if pinned else []
+        return [*self._bcs, *pin]
 
     @property
     def _by_null_space(self) -> bool:
@@ -198,8 +198,8 @@ class Flow:
     @property
     def pressure_dofs(self) -> IntArray | None:
         """Where the pressure lies in the unknown, if its constant is left to the null space."""
-        free = self.is_closed and self._by_null_space
-        return compat.component_space(self.V, self.fields.d)[1] if free else None
+        left = self.is_closed and self._by_null_space
+        return compat.component_space(self.V, self.mesh.domain.geometry.dim)[1] if left else None
 
     @cached_property
     def system(self) -> FiniteElementSystem:
