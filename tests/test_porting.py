@@ -90,3 +90,18 @@ def test_porting_runs_as_printed(names_of):
     assert np.abs(names["spline_sh"].nodal(names["timeInt_sh"].x)).max() > 0.0
     for left in ("results/roof.pvd", "results/leaflet.pvd", "loop/fluid.vtkhdf", "loop/shell.pvd", "loop/history.csv"):
         assert Path(left).exists(), os.listdir()
+
+
+def test_a_flow_in_a_script_runs_as_printed(names_of):
+    """Poiseuille's flow but near the outlet, whose traction vanishes with the shear: p falls by 8 mu a length."""
+    center = names_of("flow.md")["center"]
+    np.testing.assert_allclose(center[:2], (1.0, 0.0), atol=1e-3)
+    assert center[2] == pytest.approx(0.8, rel=0.05)
+
+
+def test_a_shell_in_a_script_runs_as_printed(names_of):
+    """P L^2/(E I) = 4: U = 0.329 L, W = 0.670 L (doi:10.1016/j.finel.2003.11.001), and the support takes the load."""
+    names = names_of("shells.md")
+    np.testing.assert_allclose(names["tip"], (-0.329, 0.670), atol=5e-3)
+    np.testing.assert_allclose(names["shell"].support_force(), (0.0, -0.4), atol=1e-6)
+    assert names["frequencies"].shape == (2,)
