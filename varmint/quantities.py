@@ -130,7 +130,7 @@ class BoundaryForce:
     force as well, a difference of first order; on bodies by themselves, and beside other conditions, there is none.
 
     In a step the equations hold at the time t_alpha of the report, and only until the clocks move: the force of an
-    unsteady flow is asked for as ``measure`` of :meth:`varmint.flow.Flow.take_step` or of a coupled step. In the latter
+    unsteady flow is asked for as ``measure`` of :meth:`varmint.Flow.take_step` or of a coupled step. In the latter
     the nodes of the facets carry what an immersed surface gives to them as well.
 
     Args:

@@ -20,7 +20,7 @@ from tigar_x.splines.spline import ExtractedSpline
 
 
 class ImmersedFlow(Protocol):
-    """A flow in which a surface may be immersed, such as ``varmint.flow.Flow(..., immersed=True)``.
+    """A flow in which a surface may be immersed, such as ``varmint.Flow(..., immersed=True)``.
 
     Its integrator tells what else belongs to it, see :class:`coudalfish.sides.handover.Needs`.
     """

@@ -24,7 +24,7 @@ class ContactRecipe:
 
     Attributes:
         kernel: the potential.
-        r_self: see :class:`shnapr.contact.SelfContact`; unit: length.
+        r_self: see :class:`shnapr.SelfContact`; unit: length.
         neighbours: see there.
         spacing: largest mean distance of the points relative to the range; None: the range stays as it is.
 

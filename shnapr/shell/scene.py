@@ -42,7 +42,7 @@ PREFIX = "shell_"
 
 
 class Contact(Protocol):
-    """Recipe of contact, such as :class:`shnapr.contact.ContactRecipe`."""
+    """Recipe of contact, such as :class:`shnapr.ContactRecipe`."""
 
     def of(self, quadrature: NodalQuadrature) -> "SelfContact":
         """The contact between points."""

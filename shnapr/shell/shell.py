@@ -43,7 +43,7 @@ class Shell(Scene):
             :func:`shnapr.supports.pinned` in some directions or of :func:`shnapr.supports.fixed`.
         constraints: linear constraints, see :mod:`tigar_x.splines.constraints`.
         loads: what acts on it, see :mod:`shnapr.conditions`; rigid planes (:mod:`shnapr.planes`) as well.
-        contact: of the shell with itself, such as a :class:`shnapr.contact.ContactRecipe`; None: none.
+        contact: of the shell with itself, such as a :class:`shnapr.ContactRecipe`; None: none.
         dt: time step; None: statics, or that of a coupler. Unit: time.
         scheme: second-order scheme; None: generalized-alpha with rho_infinity = 1/2.
         updates: called with the time of the equations at the start of every step, in statics with the load factor of
