@@ -3,6 +3,8 @@
 matplotlib is loaded by the functions that draw.
 """
 
+from collections.abc import Iterable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.run.figure import Panel
+from tigar_x.run.pictures import Colours, label
 
 
 class PlaneField:
@@ -60,22 +62,26 @@ class PlaneField:
         self.x, self.values = self.x[plane], self.values[plane]
         self.triangles = Delaunay(self.x).simplices
 
-    def shade(self, axes: Any, values: FloatArray, label: str, **style: Any) -> None:
-        """Draw nodal values as colours with a bar.
+    def shade(self, axes: Any, values: FloatArray, colours: Colours, *, length: str, **style: Any) -> None:
+        """Draw nodal values as colours with a bar; nothing on a rank that has none.
 
         Args:
             axes: of matplotlib.
             values: shape (nodes,).
-            label: of the bar.
+            colours: what they show, and how.
+            length: unit of the positions.
             style: passed on to ``tripcolor``.
         """
-        from matplotlib.tri import Triangulation
-
-        triangles = Triangulation(*self.x.T, self.triangles)
-        shade = axes.tripcolor(triangles, values, shading="gouraud", **({"rasterized": True} | style))
-        axes.figure.colorbar(shade, ax=axes, label=label, shrink=0.9)
+        axes.set(aspect="equal", xlabel=label("$x_1$", length), ylabel=label("$x_2$", length))
+        if not len(self.x):
+            return
+        low, high = colours.ends(values)
+        limits = {"vmin": low, "vmax": high, "cmap": colours.palette}
+        look = {"rasterized": True, "shading": "gouraud"} | limits | style
+        shade = axes.tripcolor(self._triangulation, values, **look)
+        colours.bar(axes, values, mappable=shade)
         (left, bottom), (right, top) = self.x.min(axis=0), self.x.max(axis=0)
-        axes.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", xlim=(left, right), ylim=(bottom, top))
+        axes.set(xlim=(left, right), ylim=(bottom, top))
 
     def streamlines(self, axes: Any, samples: int = 80, **style: Any) -> None:
         """Draw streamlines of the first two components.
@@ -85,35 +91,35 @@ class PlaneField:
             samples: along the longer side.
             style: passed on to ``streamplot``.
         """
-        from matplotlib.tri import LinearTriInterpolator, Triangulation
+        from matplotlib.tri import LinearTriInterpolator
 
-        triangles = Triangulation(*self.x.T, self.triangles)
+        if not len(self.x):
+            return
         low, high = self.x.min(axis=0), self.x.max(axis=0)
         counts = np.maximum((samples * (high - low) / (high - low).max()).astype(int), 2)
         lines = [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
         grid = np.meshgrid(*lines)
-        u, v = (LinearTriInterpolator(triangles, self.values[:, i])(*grid) for i in (0, 1))
+        u, v = (LinearTriInterpolator(self._triangulation, self.values[:, i])(*grid) for i in (0, 1))
         axes.streamplot(*lines, u, v, **({"color": "0.25", "linewidth": 0.6, "arrowsize": 0.7} | style))
 
-    def panel(self, values: FloatArray, label: str, *, title: str = "", density: float = 0.0, **style: Any) -> Panel:
-        """Panel of nodal values as colours, with streamlines of the first two components.
+    @cached_property
+    def _triangulation(self) -> Any:
+        from matplotlib.tri import Triangulation
 
-        Args:
-            values: shape (nodes,).
-            label: of the bar.
-            title: above.
-            density: of the streamlines; 0: none.
-            style: passed on to ``tripcolor``.
-        """
+        return Triangulation(*self.x.T, self.triangles)
 
-        def panel(axes: Any) -> None:
-            self.shade(axes, values, label, **style)
-            if density:
-                self.streamlines(axes, density=density)
-            axes.set_title(title)
 
-        return panel
+def immersed(axes: Any, curves: Iterable[FloatArray], name: str = "", **style: Any) -> None:
+    """Draw curves over a plane field, such as shells.
 
-    def speed(self, *, label: str = "speed", **more: Any) -> Panel:
-        """Panel of the length of the first two components, see :meth:`panel`."""
-        return self.panel((self.values[:, :2] ** 2).sum(axis=1) ** 0.5, label, **more)
+    Args:
+        axes: of matplotlib.
+        curves: points of each, shape (m, 2) or more coordinates, of which the first two count.
+        name: in the legend; empty: there is none.
+        style: passed on to ``plot``.
+    """
+    for i, curve in enumerate(curves):
+        shown = name if name and not i else "_"
+        axes.plot(*np.asarray(curve)[:, :2].T, label=shown, **({"color": "k", "linewidth": 2.0} | style))
+    if name:
+        axes.legend(fontsize="small")
