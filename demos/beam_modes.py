@@ -210,7 +210,7 @@ def picture(path: Path, x: FloatArray, curves: list[tuple[float, FloatArray]], s
         left.plot(x, y, label=rf"$\omega_{i + 1}$ = {frequency:.4g}")
     left.set(xlabel="$x_1$", ylabel="displacement", title="modes")
     left.legend()
-    study.draw(right, against="elements")
+    study.draw(right, unit="-", against="elements")
     right.set_ylabel("relative error")
     figure.savefig(path, dpi=130)
     plt.close(figure)

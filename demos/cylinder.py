@@ -23,6 +23,7 @@ from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.ranks import root_only
 from tigar_x.run import script
 from tigar_x.run.output import CSVSeries
+from tigar_x.run.pictures import Colours
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.run.progress import Progress, Stopwatch
 from tigar_x.run.summary import Quantity, table, write_summary
@@ -236,10 +237,10 @@ def draw(path: Path, field: PlaneField, curl: PlaneField, history: FloatArray, t
 
     rows = 3 if len(history) else 2
     figure, axes = plt.subplots(rows, 1, figsize=(10, 2.6 * rows), layout="constrained")
-    field.shade(axes[0], np.linalg.norm(field.values[:, :2], axis=1), "speed", cmap="viridis")
+    field.shade(axes[0], np.linalg.norm(field.values[:, :2], axis=1), Colours("speed", "U"), length="length")
     axes[0].set_title(title)
     limit = 0.15 * np.abs(curl.values).max()
-    curl.shade(axes[1], curl.values[:, 0], "vorticity", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    curl.shade(axes[1], curl.values[:, 0], Colours("vorticity", "U/length", -limit, limit, "RdBu_r"), length="length")
     if len(history):
         axes[2].plot(history[:, 0], history[:, 1], label="drag")
         axes[2].plot(history[:, 0], history[:, 2], label="lift")

@@ -45,6 +45,7 @@ from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.ranks import root_only
 from tigar_x.run import script
 from tigar_x.run.output import CSVSeries
+from tigar_x.run.pictures import Colours
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.run.progress import Progress, Stopwatch, rss_mib
 from tigar_x.run.restart import Restart
@@ -284,8 +285,8 @@ def draw(path: Path, field: PlaneField, data: Data, fsi: CouDALFISh) -> None:
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    limits = {"vmin": -1.5 * data.DP, "vmax": 0.5 * data.DP}
-    field.shade(left, field.values[:, d], "pressure", cmap="RdBu_r", **limits)
+    colours = Colours("pressure", "force/area", -1.5 * data.DP, 0.5 * data.DP, "RdBu_r")
+    field.shade(left, field.values[:, d], colours, length="length")
     field.streamlines(left, samples=60, density=1.1)
     X = fsi.spline_sh.node_positions
     order = np.argsort(X[:, 1])

@@ -27,6 +27,7 @@ from tigar_x.ranks import root_only
 from tigar_x.run import script
 from tigar_x.run.convergence import Study, doubled, refine
 from tigar_x.run.output import CSVSeries
+from tigar_x.run.pictures import Colours
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.run.summary import write_summary
 from tigar_x.run.vtkhdf import VTKHDFSeries
@@ -218,10 +219,10 @@ def draw(path: Path, field: PlaneField, t: float, study: Study) -> None:
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    field.shade(left, field.values[:, -1], "pressure", cmap="RdBu_r")
+    field.shade(left, field.values[:, -1], Colours("pressure", "-", palette="RdBu_r"), length="-")
     field.streamlines(left, density=1.2)
     left.set_title(f"t = {t:.3g}")
-    study.draw(right)
+    study.draw(right, unit="-")
     figure.savefig(path, dpi=130)
     plt.close(figure)
 

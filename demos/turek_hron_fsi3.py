@@ -25,6 +25,7 @@ from tigar_x.fem.schemes import backward_euler, generalized_alpha
 from tigar_x.ranks import root_only
 from tigar_x.run import script
 from tigar_x.run.output import CSVSeries
+from tigar_x.run.pictures import Colours
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.run.progress import Progress, Stopwatch, rss_mib
 from tigar_x.run.summary import Quantity, table, write_summary
@@ -245,9 +246,9 @@ def draw(path: Path, flow: PlaneField, curl: PlaneField, history: FloatArray) ->
     figure = plt.figure(figsize=(11, 9), layout="constrained")
     grid = figure.add_gridspec(4, 2, height_ratios=(1.1, 1.1, 1, 1))
     axes = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-    flow.shade(axes[0], np.linalg.norm(flow.values[:, :2], axis=1), "speed", cmap="viridis")
+    flow.shade(axes[0], np.linalg.norm(flow.values[:, :2], axis=1), Colours("speed", "m/s"), length="m")
     limit = 0.1 * np.abs(curl.values).max()
-    curl.shade(axes[1], curl.values[:, 0], "vorticity", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    curl.shade(axes[1], curl.values[:, 0], Colours("vorticity", "1/s", -limit, limit, "RdBu_r"), length="m")
     late = history[:, 0] >= history[-1, 0] - 1.0
     for i, (name, (mean, amplitude, _)) in enumerate(PUBLISHED.items()):
         plot = figure.add_subplot(grid[2 + i // 2, i % 2])

@@ -41,6 +41,7 @@ from tigar_x.geometry.multipatch import disjoint
 from tigar_x.ranks import root_only
 from tigar_x.run import script
 from tigar_x.run.output import CSVSeries
+from tigar_x.run.pictures import Colours
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.run.progress import Progress, Stopwatch, rss_mib
 from tigar_x.run.restart import Restart
@@ -487,9 +488,9 @@ def draw(path: Path, valve: Valve, flow: PlaneField, curl: PlaneField, columns: 
     figure = plt.figure(figsize=(11, 8.4), layout="constrained")
     grid = figure.add_gridspec(3, 1, height_ratios=(1, 1, 1.5))
     axes = [figure.add_subplot(grid[i]) for i in range(3)]
-    flow.shade(axes[0], np.linalg.norm(flow.values[:, :2], axis=1), "speed", cmap="viridis")
+    flow.shade(axes[0], np.linalg.norm(flow.values[:, :2], axis=1), Colours("speed", "length/time"), length="length")
     limit = 0.5 * np.abs(curl.values[:, -1]).max()
-    curl.shade(axes[1], curl.values[:, -1], "vorticity", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    curl.shade(axes[1], curl.values[:, -1], Colours("vorticity", "1/time", -limit, limit, "RdBu_r"), length="length")
     for axis in axes[:2]:
         for nodes in leaflets:
             nodes = nodes[np.argsort(X[nodes, 1])]

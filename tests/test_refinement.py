@@ -65,4 +65,4 @@ def test_bad_input_is_named():
     with pytest.raises(ValueError, match="last = 1"):
         Study(powers(e=1.0).levels, {}, last=1)
     with pytest.raises(ValueError, match="against = 'unknown'"):
-        powers(e=1.0).draw(None, against="unknown")
+        powers(e=1.0).draw(None, unit="-", against="unknown")

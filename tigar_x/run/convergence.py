@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 
 from tigar_x import checks
+from tigar_x.run.pictures import label
 from tigar_x.run.progress import Stopwatch, peak_rss_mib
 from tigar_x.run.summary import table
 
@@ -106,22 +107,23 @@ class Study:
             "cpu_s": sum(level.cpu_s for level in self.levels),
         }
 
-    def draw(self, axes: Any, against: Literal["elements", "cpu_s"] = "cpu_s") -> None:
+    def draw(self, axes: Any, *, unit: str, against: Literal["elements", "cpu_s"] = "cpu_s") -> None:
         """Draw the errors against the number of elements per direction or CPU time, logarithmic.
 
         Args:
             axes: of matplotlib.
+            unit: of the errors; "-" where they are relative or the problem has no dimensions.
             against: attribute of the levels.
 
         Raises:
             ValueError: another attribute.
         """
-        labels = {"elements": "elements per direction", "cpu_s": "CPU time [s]"}
-        label = labels[checks.choice("against", against, tuple(labels))]
+        abscissae = {"elements": ("elements per direction", "-"), "cpu_s": ("CPU time", "s")}
+        chosen = abscissae[checks.choice("against", against, tuple(abscissae))]
         x = [getattr(level, against) for level in self.levels]
         for name, rate in self.rates.items():
             axes.loglog(x, [level.errors[name] for level in self.levels], "o-", label=f"{name}: rate {rate:.2f}")
-        axes.set(xlabel=label, ylabel="error")
+        axes.set(xlabel=label(*chosen), ylabel=label("error", unit))
         axes.grid(True, linewidth=0.4)
         axes.legend()
 

@@ -20,7 +20,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from tigar_x import checks
-from tigar_x.ranks import root_only, together
+from tigar_x.ranks import on_root, root_only, together
 from tigar_x.run.writing import replace_bytes
 
 LABEL = re.compile(r"\S.* \[.+\]", re.DOTALL)
@@ -29,8 +29,8 @@ SCALE = "scale"
 """Mark (gid of matplotlib) of a text that gives the scale of axes without ticks."""
 
 
-class Columns(Protocol):
-    """Numbers by name: a history, a dictionary of arrays."""
+class Table(Protocol):
+    """Columns of numbers by name: a history, or a dictionary of arrays."""
 
     def __getitem__(self, name: str, /) -> Any:
         """One number a step."""
@@ -121,7 +121,7 @@ class Colours:
 def figure(
     path: Path, size: tuple[float, float] = (8.0, 5.0), *, dpi: int = 130, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> Iterator[Any]:
-    """A figure to draw in, saved at the end (collective: every rank draws for itself, rank 0 saves).
+    """A figure to draw in, saved at the end (collective, so not within ``root_only``: all ranks draw, rank 0 saves).
 
     Args:
         path: of the picture; its folder is made.
@@ -144,17 +144,19 @@ def figure(
     except Exception as error:
         failure = error
 
-    def finish() -> None:
+    def check() -> None:
         if failure is not None:
             raise failure
         _refuse_unlabelled(drawn, path)
-        if comm.rank == 0:
-            content = io.BytesIO()
-            drawn.draw_without_rendering()  # the ticks that fit are known after a first layout
-            drawn.savefig(content, format=path.suffix.lstrip(".") or "png")
-            replace_bytes(path, content.getvalue())
 
-    together(comm, finish)
+    def save() -> None:
+        content = io.BytesIO()
+        drawn.draw_without_rendering()  # the ticks that fit are known after a first layout
+        drawn.savefig(content, format=path.suffix.lstrip(".") or "png")
+        replace_bytes(path, content.getvalue())
+
+    together(comm, check)
+    on_root(comm, save)
 
 
 def _refuse_unlabelled(drawn: Any, path: Path) -> None:
@@ -237,7 +239,7 @@ class Panel:
     def __post_init__(self) -> None:
         label(self.what, self.unit)
 
-    def draw(self, axes: Any, history: Columns, time: str) -> None:
+    def draw(self, axes: Any, history: Table, time: str) -> None:
         """Draw the panel.
 
         Args:
@@ -261,7 +263,7 @@ class Panel:
 
 def histories(
     path: Path,
-    history: Columns,
+    history: Table,
     panels: Sequence[Panel],
     *,
     time: str,

@@ -1,0 +1,305 @@
+"""Pictures: what every axis says, who writes, what hides what, and that nothing is loaded without need."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from dolfinx import fem, mesh
+from mpi_runs import outside
+
+from tigar_x import compat
+from tigar_x.geometry import shapes
+from tigar_x.geometry.multipatch import disjoint
+from tigar_x.run.history import History
+from tigar_x.run.pictures import Colours, Panel, animate, curves, figure, histories, label
+from tigar_x.run.plane_field import PlaneField, immersed
+from tigar_x.splines import sampling
+from tigar_x.splines.pictures import Surface, View, draw_curves, draw_shell, draw_surfaces, nice_length, surfaces
+from tigar_x.splines.spline import ExtractedSpline
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """One folder for all ranks."""
+    return COMM.bcast(tmp_path)
+
+
+@pytest.fixture
+def saved(monkeypatch):
+    """The figures that this rank has saved, each with its name."""
+    from matplotlib.figure import Figure
+
+    found, save = [], Figure.savefig
+
+    def kept(self, *args, **kwargs):
+        found.append(self)
+        return save(self, *args, **kwargs)
+
+    monkeypatch.setattr(Figure, "savefig", kept)
+    return found
+
+
+def make(path, draw):
+    """Make a figure."""
+    with figure(path) as drawn:
+        draw(drawn)
+
+
+def texts(drawn):
+    """All texts of a figure."""
+    from matplotlib.text import Text
+
+    return [t.get_text() for t in drawn.findobj(Text) if t.get_text()]
+
+
+# -- labels and units -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("what", "unit"), [("", "s"), ("time", ""), ("time", " "), (None, "s"), ("time", None)])
+def test_a_label_needs_a_name_and_a_unit(what, unit):
+    with pytest.raises(ValueError, match="a text is required"):
+        label(what, unit)
+    with pytest.raises(ValueError, match="a text is required"):
+        Colours(what, unit)
+    with pytest.raises(ValueError, match="a text is required"):
+        Panel(what, unit, "q")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "labels", [{"xlabel": "t [s]"}, {"xlabel": "t [s]", "ylabel": "flow rate"}, {"xlabel": "[s]", "ylabel": "q [m]"}]
+)
+def test_a_figure_with_an_axis_without_name_or_unit_is_not_made(labels, folder):
+    with pytest.raises(ValueError, match=r"q.png: the [xy] axis of the axes 'flow' has the label"):
+        make(folder / "q.png", lambda drawn: drawn.subplots().set(title="flow", **labels))
+    assert not list(folder.iterdir())
+
+
+def test_a_bar_of_colours_without_a_unit_is_found(tmp_path):
+    from matplotlib.cm import ScalarMappable
+
+    def draw(drawn):
+        axes = drawn.subplots()
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        drawn.colorbar(ScalarMappable(), ax=axes, label="speed")
+
+    with pytest.raises(ValueError, match="the y axis of the axes has the label 'speed'"):
+        make(tmp_path / "speed.png", draw)
+
+
+def test_axes_without_ticks_need_a_scale_and_those_between_others_no_label(tmp_path):
+    def shape(drawn):
+        axes = drawn.subplots()
+        axes.plot([0, 1], [0, 1])
+        axes.set_axis_off()
+
+    with pytest.raises(ValueError, match="neither ticks nor a scale bar"):
+        make(tmp_path / "shape.png", shape)
+    with figure(tmp_path / "shared.png") as drawn:
+        upper, lower = drawn.subplots(2, sharex=True)
+        curves(upper, {"": ([0, 1], [0, 1])}, x=("t", "s"), y=("p", "Pa"))
+        curves(lower, {"": ([0, 1], [0, 1])}, x=("t", "s"), y=("q", "m/s"))
+        upper.set_xlabel("")
+    assert [path.name for path in tmp_path.iterdir()] == ["shared.png"]
+
+
+@pytest.mark.mpi
+def test_rank_0_alone_saves_and_an_error_of_one_rank_is_one_of_all(folder, saved):
+    with figure(folder / "new" / "ranks.png") as drawn:
+        curves(drawn.subplots(), {"a": ([0, 1], [0, 1])}, x=("t", "s"), y=("p", "Pa"))
+    assert len(saved) == (COMM.rank == 0)
+    assert (folder / "new" / "ranks.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ZeroDivisionError):
+        make(folder / "failed.png", lambda _: 1 / (COMM.size - 1 - COMM.rank))
+    assert not (folder / "failed.png").exists()
+
+
+def test_a_history_names_its_quantities_units_and_levels(tmp_path, saved):
+    t = np.linspace(0.0, 1.0, 5)
+    history = History(("t_alpha", "q", "p_1"), np.column_stack([t, t - 0.1, t**2, 1.0 - t]))
+    panels = (
+        Panel("flow rate", "cm³/s", "q", over="t_alpha", levels={"published": 0.4}, limits=(0.0, 2.0)),
+        Panel("pressure", "dyn/cm²", {"before the valve": "p_1"}, logarithmic=True),
+        Panel("flow rate", "l/h", "q", points={"measured": ([0.5], [0.3])}),
+    )
+    histories(tmp_path / "histories.png", history, panels, time="s")
+    axes = saved[0].axes
+    assert [one.get_xlabel() for one in axes] == ["t [s]"] * 3
+    assert [one.get_ylabel() for one in axes] == ["flow rate [cm³/s]", "pressure [dyn/cm²]", "flow rate [l/h]"]
+    assert {"published", "before the valve", "measured"} <= set(texts(saved[0]))
+    np.testing.assert_array_equal(axes[0].lines[0].get_xdata(), t - 0.1)
+    assert axes[0].get_ylim() == (0.0, 2.0)
+    assert axes[1].get_yscale() == "log"
+
+
+# -- colours ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_ends_of_a_scale_are_those_given_or_those_of_the_values():
+    assert Colours("p", "Pa").ends([1.0, np.nan, 3.0]) == (1.0, 3.0)
+    assert Colours("p", "Pa", low=0.0).ends([1.0, 3.0]) == (0.0, 3.0)
+    assert Colours("p", "Pa", low=-2.0, high=2.0).ends([1.0, 3.0]) == (-2.0, 2.0)
+    for constant in (Colours("p", "Pa"), Colours("p", "Pa", high=4.0), Colours("p", "Pa", low=4.0)):
+        low, high = constant.ends([4.0])
+        assert low < high
+    assert Colours("p", "Pa").ends([]) == (0.0, 1.0)
+    with pytest.raises(ValueError, match=r"low = 2\.0: a number below high = 2\.0"):
+        Colours("p", "Pa", 2.0, 2.0)
+
+
+@pytest.mark.parametrize(("high", "extend"), [(None, "neither"), (0.5, "max"), (1.0, "neither")])
+def test_a_bar_says_what_and_whether_values_lie_beyond_it(high, extend, tmp_path):
+    with figure(tmp_path / "bar.png") as drawn:
+        axes = drawn.subplots()
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        bar = Colours("speed", "m/s", high=high).bar(axes, [0.0, 1.0])
+    assert bar.ax.get_ylabel() == "speed [m/s]"
+    assert bar.extend == extend
+
+
+@pytest.mark.mpi
+def test_a_plane_flow_with_streamlines_and_immersed_lines(folder, saved):
+    domain = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], [8, 4])
+    w = fem.Function(compat.lagrange_space(domain, 1, 3))
+    w.interpolate(lambda x: np.array([x[1] * (1.0 - x[1]), 0.01 * x[0], x[0]]))
+    flow = PlaneField(w)
+    with figure(folder / "flow.png") as drawn:
+        axes = drawn.subplots()
+        flow.shade(axes, flow.values[:, 2], Colours("pressure", "dyn/cm²"), length="cm")
+        flow.streamlines(axes, samples=10)
+        immersed(axes, [np.array([[1.0, 0.0], [1.1, 0.5]])] * 2, "leaflets")
+    assert (folder / "flow.png").exists()
+    if COMM.rank == 0:
+        assert {"$x_1$ [cm]", "$x_2$ [cm]", "pressure [dyn/cm²]", "leaflets"} <= set(texts(saved[0]))
+        assert axes.get_xlim() == pytest.approx((0.0, 2.0))
+
+
+# -- shells -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sheets():
+    """Two plates above each other, at x_3 = 0 and 1."""
+    plates = [shapes.plate(lengths=(2.0, 1.0), center=(0.0, 0.0, z), elements=(2, 1), degrees=(2, 2)) for z in (0, 1)]
+    return ExtractedSpline(disjoint(*plates), MPI.COMM_SELF)
+
+
+def test_a_view_keeps_lengths_and_looks_where_it_says():
+    np.testing.assert_allclose(View(90.0, -90.0).axes, np.eye(3), atol=1e-15)
+    for view in (View(12.0, 20.0), View(-35.0, 200.0)):
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-15)
+        assert np.linalg.det(view.axes) == pytest.approx(1.0)
+    assert View(0.0, 0.0).seen([1.0, 2.0, 3.0]) == pytest.approx([2.0, 3.0, 1.0])
+    with pytest.raises(ValueError, match="elevation = 91"):
+        View(91.0, 0.0)
+
+
+@pytest.mark.parametrize(("elevation", "upper_last"), [(80.0, True), (-80.0, False)])
+def test_the_nearer_surface_hides_the_farther_one(sheets, elevation, upper_last, tmp_path):
+    net = sampling.net(sheets, 3)
+    shown = [Surface.of_net(x, colour=colour) for x, colour in zip(net.reference, ("b", "r"), strict=True)]
+    with figure(tmp_path / "sheets.png") as drawn:
+        axes = drawn.subplots()
+        draw_surfaces(axes, shown, length="cm", view=View(elevation, 30.0))
+    red, blue = axes.collections[0].get_facecolors()[:, [0, 2]].T
+    assert ((red > blue)[4:] == upper_last).all()
+    assert ((red > blue)[:4] != upper_last).all()
+
+
+def test_a_shell_has_its_field_a_bar_of_length_and_the_directions_of_the_axes(sheets, tmp_path, saved):
+    net, field = sampling.net(sheets, 5), sheets.project(sheets.F[2])
+    y = sheets.function(np.outer(sheets.geometry.weights, (0.0, 0.0, 1.0)))
+    colours = Colours("height", "mm", 0.0, 1.0, "gray")
+    draw_shell(
+        tmp_path / "shell.png", surfaces(net, y, field), colours=colours, length="mm", views=(View(), View(90, -90))
+    )
+    found = texts(saved[0])
+    assert found.count("0.5 mm") == 2
+    assert "height [mm]" in found
+    assert "$x_3$" in found
+    paints = saved[0].axes[1].collections[0].get_facecolors()[:, 0]
+    assert paints.max() < 1.0 + 1e-12
+    assert paints[:16].max() < 1e-3 < 0.7 < paints[16:].min()  # black below, white above, with some shade
+
+
+def test_values_need_a_scale_of_colours_and_nets_lie_in_space(sheets, tmp_path):
+    shown = surfaces(sampling.net(sheets, 2), field=sheets.project(sheets.F[0]))
+    with pytest.raises(ValueError, match="colours = None"):
+        draw_shell(tmp_path / "shell.png", shown, length="m")
+    with pytest.raises(ValueError, match="unit = ''"):
+        draw_shell(tmp_path / "shell.png", shown, length="", colours=Colours("x", "m"))
+    with pytest.raises(ValueError, match="a scalar is required"):
+        surfaces(sampling.net(sheets, 2), field=sheets.project(sheets.F))
+    with pytest.raises(ValueError, match="nets in space are required"):
+        surfaces(sampling.line(sheets, 0, 3, patch=0))
+    with pytest.raises(ValueError, match="shown is empty"):
+        draw_shell(tmp_path / "shell.png", [], length="m")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_box_keeps_the_frame_still(sheets, tmp_path):
+    frames = []
+    for factor in (1.0, 0.3):
+        with figure(tmp_path / "frame.png") as drawn:
+            axes = drawn.subplots()
+            shown = [Surface.of_net(factor * x) for x in sampling.net(sheets, 2).reference]
+            draw_surfaces(axes, shown, length="m", box=[[-1, -1, 0], [1, 1, 1]])
+        frames.append((axes.get_xlim(), axes.get_ylim()))
+    assert frames[0] == frames[1]
+
+
+def test_curves_under_load_have_one_scale_and_the_bar_of_their_load(tmp_path):
+    line = np.column_stack([np.linspace(0.0, 1.0, 4), np.zeros(4), np.arange(4.0)])
+    with figure(tmp_path / "curves.png") as drawn:
+        axes = drawn.subplots()
+        draw_curves(
+            axes, [line, 2.0 * line], length="m", colours=Colours("load", "kN"), values=[0.0, 3.0], coordinates=(0, 2)
+        )
+    assert axes.get_ylabel() == "$x_3$ [m]"
+    assert axes.get_aspect() == 1.0
+    assert "load [kN]" in texts(drawn)
+    np.testing.assert_array_equal(axes.lines[1].get_ydata(), 2.0 * np.arange(4.0))
+    with pytest.raises(ValueError, match="colours and values belong together"):
+        draw_curves(axes, [line], length="m", values=[1.0])
+
+
+def test_lengths_of_bars_are_round():
+    assert [nice_length(most) for most in (0.3, 1.0, 4.99, 73.0, 0.0021)] == pytest.approx([0.2, 1.0, 2.0, 50.0, 0.002])
+
+
+# -- animations, and what is loaded -----------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_an_animation_has_all_frames_and_the_sheet_six(folder):
+    from PIL import Image
+
+    names = [folder / "frames" / f"{n}.png" for n in range(8)]
+    for n, name in enumerate(names):
+        with figure(name, (1.0, 0.5), dpi=40) as drawn:
+            drawn.set_facecolor((n / 8, 0.0, 0.0))
+    animate(folder / "movie.gif", names, seconds=0.2, sheet=folder / "sheet.png")
+    with Image.open(folder / "movie.gif") as movie, Image.open(folder / "sheet.png") as sheet:
+        assert movie.n_frames == 8
+        assert movie.info["duration"] == 200
+        assert sheet.size == (80, 60)
+    animate(folder / "nothing.gif", [])
+    assert not (folder / "nothing.gif").exists()
+
+
+def test_matplotlib_comes_with_the_first_figure_and_pyplot_never(tmp_path):
+    code = f"""
+import sys
+from pathlib import Path
+import tigar_x.run.pictures, tigar_x.run.plane_field, tigar_x.run.convergence, tigar_x.splines.pictures
+before = {{"matplotlib", "PIL"}} & set(sys.modules)
+with tigar_x.run.pictures.figure(Path({str(tmp_path)!r}) / "a.png") as drawn:
+    drawn.subplots().set(xlabel="x [m]", ylabel="y [m]")
+print(sorted(before), "matplotlib" in sys.modules, "matplotlib.pyplot" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=outside())
+    assert done.stdout.split("\n")[-2] == "[] True False"
