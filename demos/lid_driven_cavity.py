@@ -85,7 +85,7 @@ def main(results: Results, degree: int = 1, cells: Cells = "triangle", reynolds:
     study, flow = results.refine(solved, errors, {"H1_u": k, "L2_u": k + 1}, lambda n: build(n, k, cells, Re))
     if results.viz:
         VTKHDFSeries(results.out / "cavity.vtkhdf", flow.mesh.domain, **flow.components).once()
-        draw(results.out / "lid_driven_cavity.png", PlaneField(flow.w).speed(density=1.2), study.draw)
+        draw(results.out / "lid_driven_cavity.png", PlaneField(flow.w).speed("-", length="-", density=1.2), study.draw)
     true, divergence = errors(flow, 2 * k + 8), Measured(square=squared_divergence(flow))()["square"] ** 0.5
     more = {"errors_true": true, "monitors": {"divergence": divergence}, "dofs_fluid": flow.unknowns}
     return results.convergence(study, f"degree {k} on {cells}s, Re = {reynolds:g}", **more)

@@ -12,11 +12,12 @@ from mpi_runs import outside
 from tigar_x import compat
 from tigar_x.geometry import shapes
 from tigar_x.geometry.multipatch import disjoint
+from tigar_x.run.figure import draw, label, lines, over_time
 from tigar_x.run.history import History
-from tigar_x.run.pictures import Colours, Panel, animate, curves, figure, histories, label
-from tigar_x.run.plane_field import PlaneField, immersed
+from tigar_x.run.pictures import Colours, animate
+from tigar_x.run.plane_field import PlaneField
 from tigar_x.splines import sampling
-from tigar_x.splines.pictures import Surface, View, draw_curves, draw_shell, draw_surfaces, nice_length, surfaces
+from tigar_x.splines.pictures import Surface, View, draw_shell, family, nice_length, scene, surfaces
 from tigar_x.splines.spline import ExtractedSpline
 
 COMM = MPI.COMM_WORLD
@@ -30,7 +31,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def saved(monkeypatch):
-    """The figures that this rank has saved, each with its name."""
+    """The figures that this rank has saved."""
     from matplotlib.figure import Figure
 
     found, save = [], Figure.savefig
@@ -41,12 +42,6 @@ def saved(monkeypatch):
 
     monkeypatch.setattr(Figure, "savefig", kept)
     return found
-
-
-def make(path, draw):
-    """Make a figure."""
-    with figure(path) as drawn:
-        draw(drawn)
 
 
 def texts(drawn):
@@ -66,7 +61,7 @@ def test_a_label_needs_a_name_and_a_unit(what, unit):
     with pytest.raises(ValueError, match="a text is required"):
         Colours(what, unit)
     with pytest.raises(ValueError, match="a text is required"):
-        Panel(what, unit, "q")
+        lines({}, x=("t", "s"), y=(what, unit))
 
 
 @pytest.mark.mpi
@@ -75,62 +70,86 @@ def test_a_label_needs_a_name_and_a_unit(what, unit):
 )
 def test_a_figure_with_an_axis_without_name_or_unit_is_not_made(labels, folder):
     with pytest.raises(ValueError, match=r"q.png: the [xy] axis of the axes 'flow' has the label"):
-        make(folder / "q.png", lambda drawn: drawn.subplots().set(title="flow", **labels))
+        draw(folder / "q.png", lambda axes: axes.set(title="flow", **labels))
     assert not list(folder.iterdir())
 
 
 def test_a_bar_of_colours_without_a_unit_is_found(tmp_path):
     from matplotlib.cm import ScalarMappable
 
-    def draw(drawn):
-        axes = drawn.subplots()
+    def panel(axes):
         axes.set(xlabel="x [m]", ylabel="y [m]")
-        drawn.colorbar(ScalarMappable(), ax=axes, label="speed")
+        axes.figure.colorbar(ScalarMappable(), ax=axes, label="speed")
 
     with pytest.raises(ValueError, match="the y axis of the axes has the label 'speed'"):
-        make(tmp_path / "speed.png", draw)
+        draw(tmp_path / "speed.png", panel)
+
+
+LINE = lines({"a": ([0, 1], [0, 1])}, x=("t", "s"), y=("p", "Pa"))
 
 
 def test_axes_without_ticks_need_a_scale_and_those_between_others_no_label(tmp_path):
-    def shape(drawn):
-        axes = drawn.subplots()
+    def shape(axes):
         axes.plot([0, 1], [0, 1])
         axes.set_axis_off()
 
+    def shared(axes):
+        LINE(axes)
+        axes.set_xlabel("")
+        axes.tick_params(labelbottom=False)
+
     with pytest.raises(ValueError, match="neither ticks nor a scale bar"):
-        make(tmp_path / "shape.png", shape)
-    with figure(tmp_path / "shared.png") as drawn:
-        upper, lower = drawn.subplots(2, sharex=True)
-        curves(upper, {"": ([0, 1], [0, 1])}, x=("t", "s"), y=("p", "Pa"))
-        curves(lower, {"": ([0, 1], [0, 1])}, x=("t", "s"), y=("q", "m/s"))
-        upper.set_xlabel("")
+        draw(tmp_path / "shape.png", shape)
+    draw(tmp_path / "shared.png", shared, LINE, columns=1)
     assert [path.name for path in tmp_path.iterdir()] == ["shared.png"]
 
 
 @pytest.mark.mpi
 def test_rank_0_alone_saves_and_an_error_of_one_rank_is_one_of_all(folder, saved):
-    with figure(folder / "new" / "ranks.png") as drawn:
-        curves(drawn.subplots(), {"a": ([0, 1], [0, 1])}, x=("t", "s"), y=("p", "Pa"))
+    draw(folder / "new" / "ranks.png", LINE)
     assert len(saved) == (COMM.rank == 0)
     assert (folder / "new" / "ranks.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ZeroDivisionError):
-        make(folder / "failed.png", lambda _: 1 / (COMM.size - 1 - COMM.rank))
+        draw(folder / "failed.png", LINE, lambda _: 1 / COMM.rank)
     assert not (folder / "failed.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("panels", "options", "places"),
+    [
+        ([LINE] * 3, {}, [(0, 0, 1), (0, 1, 1), (1, 0, 1)]),
+        ([LINE] * 2, {"columns": 3}, [(0, 0, 1), (0, 1, 1)]),
+        ([LINE, [LINE] * 2], {"heights": (2, 1)}, [(0, 0, 2), (1, 0, 1), (1, 1, 1)]),
+        ([[LINE] * 2, [LINE] * 3], {}, [(0, 0, 3), (0, 3, 3), (1, 0, 2), (1, 2, 2), (1, 4, 2)]),
+    ],
+)
+def test_panels_stand_in_columns_or_fill_their_rows(panels, options, places, tmp_path, saved):
+    draw(tmp_path / "panels.png", *panels, size=(2.5, 2), dpi=20, **options)
+    specs = [axes.get_subplotspec() for axes in saved[0].axes]
+    assert [(s.rowspan.start, s.colspan.start, len(s.colspan)) for s in specs] == places
+
+
+def test_a_figure_needs_panels_and_a_height_for_every_row(tmp_path):
+    for panels in ([], [LINE, []]):
+        with pytest.raises(ValueError, match="panels is empty"):
+            draw(tmp_path / "empty.png", *panels)
+    with pytest.raises(ValueError, match="heights = "):
+        draw(tmp_path / "rows.png", LINE, heights=(1, 2))
 
 
 def test_a_history_names_its_quantities_units_and_levels(tmp_path, saved):
     t = np.linspace(0.0, 1.0, 5)
     history = History(("t_alpha", "q", "p_1"), np.column_stack([t, t - 0.1, t**2, 1.0 - t]))
-    panels = (
-        Panel("flow rate", "cm³/s", "q", over="t_alpha", levels={"published": 0.4}, limits=(0.0, 2.0)),
-        Panel("pressure", "dyn/cm²", {"before the valve": "p_1"}, logarithmic=True),
-        Panel("flow rate", "l/h", "q", points={"measured": ([0.5], [0.3])}),
+    draw(
+        tmp_path / "histories.png",
+        over_time(history, "q", y=("flow rate", "cm³/s"), time="s", over="t_alpha", levels={"limit": 0.4}, ylim=(0, 2)),
+        over_time(history, {"before the valve": "p_1"}, y=("pressure", "dyn/cm²"), time="s", yscale="log"),
+        over_time(history, "q", y=("flow rate", "l/h"), time="s", points={"measured": ([0.5], [0.3])}),
     )
-    histories(tmp_path / "histories.png", history, panels, time="s")
     axes = saved[0].axes
-    assert [one.get_xlabel() for one in axes] == ["t [s]"] * 3
+    assert [one.get_xlabel() for one in axes] == ["$t$ [s]"] * 3
     assert [one.get_ylabel() for one in axes] == ["flow rate [cm³/s]", "pressure [dyn/cm²]", "flow rate [l/h]"]
-    assert {"published", "before the valve", "measured"} <= set(texts(saved[0]))
+    assert {"limit", "before the valve", "measured"} <= set(texts(saved[0]))
     np.testing.assert_array_equal(axes[0].lines[0].get_xdata(), t - 0.1)
     assert axes[0].get_ylim() == (0.0, 2.0)
     assert axes[1].get_yscale() == "log"
@@ -153,12 +172,15 @@ def test_the_ends_of_a_scale_are_those_given_or_those_of_the_values():
 
 @pytest.mark.parametrize(("high", "extend"), [(None, "neither"), (0.5, "max"), (1.0, "neither")])
 def test_a_bar_says_what_and_whether_values_lie_beyond_it(high, extend, tmp_path):
-    with figure(tmp_path / "bar.png") as drawn:
-        axes = drawn.subplots()
+    bars = []
+
+    def panel(axes):
         axes.set(xlabel="x [m]", ylabel="y [m]")
-        bar = Colours("speed", "m/s", high=high).bar(axes, [0.0, 1.0])
-    assert bar.ax.get_ylabel() == "speed [m/s]"
-    assert bar.extend == extend
+        bars.append(Colours("speed", "m/s", high=high).bar(axes, [0.0, 1.0]))
+
+    draw(tmp_path / "bar.png", panel)
+    assert bars[0].ax.get_ylabel() == "speed [m/s]"
+    assert bars[0].extend == extend
 
 
 @pytest.mark.mpi
@@ -167,15 +189,16 @@ def test_a_plane_flow_with_streamlines_and_immersed_lines(folder, saved):
     w = fem.Function(compat.lagrange_space(domain, 1, 3))
     w.interpolate(lambda x: np.array([x[1] * (1.0 - x[1]), 0.01 * x[0], x[0]]))
     flow = PlaneField(w)
-    with figure(folder / "flow.png") as drawn:
-        axes = drawn.subplots()
-        flow.shade(axes, flow.values[:, 2], Colours("pressure", "dyn/cm²"), length="cm")
-        flow.streamlines(axes, samples=10)
-        immersed(axes, [np.array([[1.0, 0.0], [1.1, 0.5]])] * 2, "leaflets")
+    curves, colours = [np.array([[1.0, 0.0, 7.0], [1.1, 0.5, 7.0]])] * 2, Colours("pressure", "dyn/cm²")
+    panel = flow.panel(flow.values[:, 2], colours, length="cm", title="t = 0.1 s", density=0.5, immersed=curves)
+    draw(folder / "flow.png", panel, flow.speed("cm/s", length="cm"))
     assert (folder / "flow.png").exists()
     if COMM.rank == 0:
-        assert {"$x_1$ [cm]", "$x_2$ [cm]", "pressure [dyn/cm²]", "leaflets"} <= set(texts(saved[0]))
+        found = {"$x_1$ [cm]", "$x_2$ [cm]", "pressure [dyn/cm²]", "speed [cm/s]", "t = 0.1 s"}
+        assert found <= set(texts(saved[0]))
+        axes = saved[0].axes[0]
         assert axes.get_xlim() == pytest.approx((0.0, 2.0))
+        np.testing.assert_array_equal(axes.lines[-1].get_xydata(), curves[1][:, :2])
 
 
 # -- shells -----------------------------------------------------------------------------------------------------------
@@ -199,12 +222,11 @@ def test_a_view_keeps_lengths_and_looks_where_it_says():
 
 
 @pytest.mark.parametrize(("elevation", "upper_last"), [(80.0, True), (-80.0, False)])
-def test_the_nearer_surface_hides_the_farther_one(sheets, elevation, upper_last, tmp_path):
+def test_the_nearer_surface_hides_the_farther_one(sheets, elevation, upper_last, tmp_path, saved):
     net = sampling.net(sheets, 3)
     shown = [Surface.of_net(x, colour=colour) for x, colour in zip(net.reference, ("b", "r"), strict=True)]
-    with figure(tmp_path / "sheets.png") as drawn:
-        axes = drawn.subplots()
-        draw_surfaces(axes, shown, length="cm", view=View(elevation, 30.0))
+    draw(tmp_path / "sheets.png", scene(shown, length="cm", view=View(elevation, 30.0)))
+    axes = saved[0].axes[0]
     red, blue = axes.collections[0].get_facecolors()[:, [0, 2]].T
     assert ((red > blue)[4:] == upper_last).all()
     assert ((red > blue)[:4] != upper_last).all()
@@ -241,30 +263,25 @@ def test_values_need_a_scale_of_colours_and_nets_lie_in_space(sheets, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_box_keeps_the_frame_still(sheets, tmp_path):
-    frames = []
+def test_a_box_keeps_the_frame_still(sheets, tmp_path, saved):
     for factor in (1.0, 0.3):
-        with figure(tmp_path / "frame.png") as drawn:
-            axes = drawn.subplots()
-            shown = [Surface.of_net(factor * x) for x in sampling.net(sheets, 2).reference]
-            draw_surfaces(axes, shown, length="m", box=[[-1, -1, 0], [1, 1, 1]])
-        frames.append((axes.get_xlim(), axes.get_ylim()))
-    assert frames[0] == frames[1]
+        shown = [Surface.of_net(factor * x) for x in sampling.net(sheets, 2).reference]
+        draw(tmp_path / "frame.png", scene(shown, length="m", box=[[-1, -1, 0], [1, 1, 1]]))
+    first, second = ((one.axes[0].get_xlim(), one.axes[0].get_ylim()) for one in saved)
+    assert first == second
 
 
-def test_curves_under_load_have_one_scale_and_the_bar_of_their_load(tmp_path):
+def test_curves_under_load_have_one_scale_and_the_bar_of_their_load(tmp_path, saved):
     line = np.column_stack([np.linspace(0.0, 1.0, 4), np.zeros(4), np.arange(4.0)])
-    with figure(tmp_path / "curves.png") as drawn:
-        axes = drawn.subplots()
-        draw_curves(
-            axes, [line, 2.0 * line], length="m", colours=Colours("load", "kN"), values=[0.0, 3.0], coordinates=(0, 2)
-        )
+    load = {"colours": Colours("load", "kN"), "values": [0.0, 3.0]}
+    draw(tmp_path / "curves.png", family([line, 2.0 * line], length="m", coordinates=(0, 2), **load))
+    axes = saved[0].axes[0]
     assert axes.get_ylabel() == "$x_3$ [m]"
     assert axes.get_aspect() == 1.0
-    assert "load [kN]" in texts(drawn)
+    assert "load [kN]" in texts(saved[0])
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), 2.0 * np.arange(4.0))
     with pytest.raises(ValueError, match="colours and values belong together"):
-        draw_curves(axes, [line], length="m", values=[1.0])
+        family([line], length="m", values=[1.0])
 
 
 def test_lengths_of_bars_are_round():
@@ -280,13 +297,12 @@ def test_an_animation_has_all_frames_and_the_sheet_six(folder):
 
     names = [folder / "frames" / f"{n}.png" for n in range(8)]
     for n, name in enumerate(names):
-        with figure(name, (1.0, 0.5), dpi=40) as drawn:
-            drawn.set_facecolor((n / 8, 0.0, 0.0))
+        draw(name, lambda axes, n=n: axes.figure.set_facecolor((n / 8, 0.0, 0.0)) or LINE(axes), size=(2.5, 2), dpi=16)
     animate(folder / "movie.gif", names, seconds=0.2, sheet=folder / "sheet.png")
     with Image.open(folder / "movie.gif") as movie, Image.open(folder / "sheet.png") as sheet:
         assert movie.n_frames == 8
         assert movie.info["duration"] == 200
-        assert sheet.size == (80, 60)
+        assert sheet.size == (80, 96)
     animate(folder / "nothing.gif", [])
     assert not (folder / "nothing.gif").exists()
 
@@ -297,8 +313,7 @@ import sys
 from pathlib import Path
 import tigar_x.run.pictures, tigar_x.run.plane_field, tigar_x.run.convergence, tigar_x.splines.pictures
 before = {{"matplotlib", "PIL"}} & set(sys.modules)
-with tigar_x.run.pictures.figure(Path({str(tmp_path)!r}) / "a.png") as drawn:
-    drawn.subplots().set(xlabel="x [m]", ylabel="y [m]")
+tigar_x.run.figure.draw(Path({str(tmp_path)!r}) / "a.png", lambda axes: axes.set(xlabel="x [m]", ylabel="y [m]"))
 print(sorted(before), "matplotlib" in sys.modules, "matplotlib.pyplot" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=outside())

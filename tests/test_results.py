@@ -9,6 +9,7 @@ import pytest
 
 from tigar_x.run import script
 from tigar_x.run.convergence import Level, Study
+from tigar_x.run.figure import draw, lines
 from tigar_x.run.results import Results, with_results
 
 
@@ -95,21 +96,17 @@ def test_a_study_takes_its_meshes_from_the_options(tmp_path):
 
 
 def test_panels_are_drawn_in_one_picture(tmp_path):
-    from matplotlib import pyplot as plt
-
-    from tigar_x.run.figure import draw, lines
-
     levels = [Level(n, n, {"e": 1.0 / n}, 0.1 * n, 0.1, 1.0) for n in (2, 4)]
     seen = []
 
     def in_space(axes):
         seen.append(axes.name)
+        axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
 
     in_space.projection = "3d"
-    panels = Study(tuple(levels), {}).draw, lines([0, 1], {"u": [0, 1]}, xlabel="$t$"), in_space
+    panels = Study(tuple(levels), {}).draw, lines({"u": ([0, 1], [0, 1])}, x=("t", "s"), y=("u", "m")), in_space
     draw(tmp_path / "pictures" / "all.png", *panels)
     assert (tmp_path / "pictures" / "all.png").stat().st_size > 1000
     assert seen == ["3d"]
     with pytest.raises(ZeroDivisionError):
         draw(tmp_path / "wrong.png", lambda axes: 1 / 0)
-    assert not plt.get_fignums()

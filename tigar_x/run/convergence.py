@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 
 from tigar_x import checks
-from tigar_x.run.pictures import label
+from tigar_x.run.figure import label
 from tigar_x.run.progress import Stopwatch, peak_rss_mib
 from tigar_x.run.summary import table
 
@@ -107,13 +107,13 @@ class Study:
             "cpu_s": sum(level.cpu_s for level in self.levels),
         }
 
-    def draw(self, axes: Any, *, unit: str, against: Literal["elements", "cpu_s"] = "cpu_s") -> None:
+    def draw(self, axes: Any, against: Literal["elements", "cpu_s"] = "cpu_s", *, unit: str = "-") -> None:
         """Draw the errors against the number of elements per direction or CPU time, logarithmic.
 
         Args:
             axes: of matplotlib.
-            unit: of the errors; "-" where they are relative or the problem has no dimensions.
             against: attribute of the levels.
+            unit: of the errors; "-" where they are relative or the problem has no dimensions.
 
         Raises:
             ValueError: another attribute.

@@ -12,7 +12,8 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.run.pictures import Colours, label
+from tigar_x.run.figure import Panel, label
+from tigar_x.run.pictures import Colours
 
 
 class PlaneField:
@@ -63,7 +64,7 @@ class PlaneField:
         self.triangles = Delaunay(self.x).simplices
 
     def shade(self, axes: Any, values: FloatArray, colours: Colours, *, length: str, **style: Any) -> None:
-        """Draw nodal values as colours with a bar; nothing on a rank that has none.
+        """Draw nodal values as colours with a bar.
 
         Args:
             axes: of matplotlib.
@@ -72,16 +73,14 @@ class PlaneField:
             length: unit of the positions.
             style: passed on to ``tripcolor``.
         """
-        axes.set(aspect="equal", xlabel=label("$x_1$", length), ylabel=label("$x_2$", length))
-        if not len(self.x):
-            return
         low, high = colours.ends(values)
         limits = {"vmin": low, "vmax": high, "cmap": colours.palette}
         look = {"rasterized": True, "shading": "gouraud"} | limits | style
         shade = axes.tripcolor(self._triangulation, values, **look)
         colours.bar(axes, values, mappable=shade)
         (left, bottom), (right, top) = self.x.min(axis=0), self.x.max(axis=0)
-        axes.set(xlim=(left, right), ylim=(bottom, top))
+        axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
+        axes.set(xlabel=label("$x_1$", length), ylabel=label("$x_2$", length))
 
     def streamlines(self, axes: Any, samples: int = 80, **style: Any) -> None:
         """Draw streamlines of the first two components.
@@ -93,8 +92,6 @@ class PlaneField:
         """
         from matplotlib.tri import LinearTriInterpolator
 
-        if not len(self.x):
-            return
         low, high = self.x.min(axis=0), self.x.max(axis=0)
         counts = np.maximum((samples * (high - low) / (high - low).max()).astype(int), 2)
         lines = [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
@@ -108,18 +105,41 @@ class PlaneField:
 
         return Triangulation(*self.x.T, self.triangles)
 
+    def panel(
+        self,
+        values: FloatArray,
+        colours: Colours,
+        *,
+        length: str,
+        title: str = "",
+        density: float = 0.0,
+        immersed: Iterable[FloatArray] = (),
+        **style: Any,
+    ) -> Panel:
+        """Panel of nodal values as colours, with streamlines of the first two components and immersed curves.
 
-def immersed(axes: Any, curves: Iterable[FloatArray], name: str = "", **style: Any) -> None:
-    """Draw curves over a plane field, such as shells.
+        Args:
+            values: shape (nodes,).
+            colours: what they show, and how.
+            length: unit of the positions.
+            title: above.
+            density: of the streamlines; 0: none.
+            immersed: points of curves that are drawn above all, such as shells, shape (m, 2) each; of more coordinates
+                the first two count.
+            style: passed on to ``tripcolor``.
+        """
+        curves = [np.asarray(curve)[:, :2] for curve in immersed]
 
-    Args:
-        axes: of matplotlib.
-        curves: points of each, shape (m, 2) or more coordinates, of which the first two count.
-        name: in the legend; empty: there is none.
-        style: passed on to ``plot``.
-    """
-    for i, curve in enumerate(curves):
-        shown = name if name and not i else "_"
-        axes.plot(*np.asarray(curve)[:, :2].T, label=shown, **({"color": "k", "linewidth": 2.0} | style))
-    if name:
-        axes.legend(fontsize="small")
+        def panel(axes: Any) -> None:
+            self.shade(axes, values, colours, length=length, **style)
+            if density:
+                self.streamlines(axes, density=density)
+            for curve in curves:
+                axes.plot(*curve.T, "k-", linewidth=2.0)
+            axes.set_title(title)
+
+        return panel
+
+    def speed(self, unit: str, *, length: str, **more: Any) -> Panel:
+        """Panel of the length of the first two components, in a unit, see :meth:`panel`."""
+        return self.panel((self.values[:, :2] ** 2).sum(axis=1) ** 0.5, Colours("speed", unit), length=length, **more)

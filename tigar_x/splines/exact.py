@@ -9,7 +9,8 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.run.convergence import Study
-from tigar_x.run.figure import draw
+from tigar_x.run.figure import draw, label
+from tigar_x.run.pictures import Colours
 from tigar_x.splines import sampling
 from tigar_x.splines.spline import ExtractedSpline
 from tigar_x.splines.vtu import VTUSeries
@@ -48,7 +49,7 @@ class Solution:
         names = ("L2_u", *(f"H{i}_u" for i in range(1, len(parts))))
         return {name: compat.assemble_scalar(form) ** 0.5 for name, form in zip(names, forms, strict=True)}
 
-    def show(self, path: Path, study: Study, label: str = "$u$", samples: int = 61) -> None:
+    def show(self, path: Path, study: Study, what: str = "$u$", samples: int = 61) -> None:
         """Write the solution as a ParaView file, and draw it beside the errors of a study (collective).
 
         Of a volume the section in the middle of the third direction is drawn.
@@ -56,7 +57,7 @@ class Solution:
         Args:
             path: without ending.
             study: errors from level to level.
-            label: of the solution.
+            what: name of the solution; the problem has no dimensions.
             samples: number of points in a direction.
         """
         VTUSeries(path, self.spline, u=self.u).once()
@@ -69,11 +70,11 @@ class Solution:
         def solution(axes: Any) -> None:
             if dim == 1:
                 axes.plot([i / (samples - 1) for i in range(samples)], u)
-                axes.set(xlabel="parameter", ylabel=label)
+                axes.set(xlabel=label("parameter, by its range", "-"), ylabel=label(what, "-"))
             else:
                 shade = axes.pcolormesh(x[..., 0], x[..., 1], u, shading="gouraud")
-                axes.figure.colorbar(shade, ax=axes, label=label)
-                axes.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$")
+                Colours(what, "-").bar(axes, u, mappable=shade)
+                axes.set(aspect="equal", xlabel=label("$x_1$", "-"), ylabel=label("$x_2$", "-"))
             axes.set_title("solution" if dim < 3 else "solution in the middle of the third direction")
 
         draw(path.with_suffix(".png"), solution, study.draw)

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.run.pictures import SCALE, Colours, figure, label
+from tigar_x.run.figure import SCALE, Panel, draw, label
+from tigar_x.run.pictures import Colours
 from tigar_x.splines.sampling import Sampling
 
 LIGHT = np.array([-0.35, 0.45, 0.82])
@@ -122,8 +123,7 @@ def surfaces(net: Sampling, y: fem.Function | None = None, field: Any = None) ->
     return [Surface.of_net(x, v) for x, v in zip(patches, values.reshape(patches.shape[:3]), strict=True)]
 
 
-def draw_surfaces(
-    axes: Any,
+def scene(
     shown: Sequence[Surface],
     *,
     length: str,
@@ -131,31 +131,52 @@ def draw_surfaces(
     colours: Colours | None = None,
     lines: Sequence[ArrayLike] = (),
     box: ArrayLike | None = None,
-) -> None:
-    """Draw surfaces and lines as they are seen from far away, with a bar of length and the directions of the axes.
+    bar: bool = True,
+    title: str = "",
+) -> Panel:
+    """Panel of surfaces and lines as they are seen from far away, with a bar of length and the directions of the axes.
 
     Args:
-        axes: of matplotlib, in the plane.
         shown: the surfaces.
         length: unit of length.
         view: from where.
-        colours: of the fields; there has to be one where a surface has values, and the caller adds its bar.
+        colours: of the fields; None: no surface has values.
         lines: points of lines in space, shape (m, 3) each; unit: length.
         box: lowest and highest corner of what the picture has room for, shape (2, 3), so that those of a movie agree;
             None: all that is drawn.
+        bar: whether to draw the bar of colours, where there are values.
+        title: above.
 
     Raises:
-        ValueError: no surface and no line, or values without colours.
+        ValueError: no surface and no line, values without colours, or no unit.
     """
-    from matplotlib.collections import PolyCollection
-
+    label("length", length)
     fields = [surface.values for surface in shown if surface.values is not None]
     if fields and colours is None:
         raise ValueError("colours = None: surfaces with values are shown by a scale of colours")
     segments = [np.stack([x[:-1], x[1:]], axis=1) for x in map(np.asarray, lines)]
     if not shown and not segments:
         raise ValueError("shown is empty: one surface or line is required")
-    scale = colours.mappable(np.concatenate(fields)) if colours is not None and fields else None
+    values = np.concatenate([np.zeros(0), *fields])
+
+    def panel(axes: Any) -> None:
+        scale = colours.mappable(values) if colours is not None and fields else None
+        corners = np.concatenate(_draw_polygons(axes, shown, segments, view, scale))
+        room = corners if box is None else view.seen(_box_corners(box))[:, :2]
+        _frame(axes, room.min(axis=0), room.max(axis=0), view, length)
+        if bar and colours is not None and fields:
+            colours.bar(axes, values)
+        axes.set_title(title)
+
+    return panel
+
+
+def _draw_polygons(
+    axes: Any, shown: Sequence[Surface], segments: Sequence[FloatArray], view: View, scale: Any
+) -> list[FloatArray]:
+    """Draw all faces and segments, the nearest last; their corners in the picture."""
+    from matplotlib.collections import PolyCollection
+
     polygons: list[FloatArray] = []
     paints, edges, depths = [], [], []
     for surface in shown:
@@ -181,8 +202,7 @@ def draw_surfaces(
             closed=True,
         )
     )
-    room = np.concatenate(polygons) if box is None else view.seen(_box_corners(box))[:, :2]
-    _frame(axes, room.min(axis=0), room.max(axis=0), view, length)
+    return polygons
 
 
 def _paint(surface: Surface, corners: FloatArray, scale: Any) -> FloatArray:
@@ -206,7 +226,6 @@ def _box_corners(box: ArrayLike) -> FloatArray:
 
 def _frame(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str) -> None:
     """Room for the picture, a bar of length below it on the right, and the directions of the axes on the left."""
-    label("length", length)
     width, height = np.maximum(high - low, 1e-3 * float((high - low).max() or 1.0))
     extent = max(width, height)
     margin, below = 0.03 * extent, 0.16 * extent
@@ -264,51 +283,48 @@ def draw_shell(
     """
     if not views:
         raise ValueError("views is empty: one or more is required")
-    values = [surface.values for surface in shown if surface.values is not None]
-    with figure(path, (size * len(views) + (0.9 if values else 0.0), size), dpi=dpi, comm=comm) as drawn:
-        axes = drawn.subplots(1, len(views), squeeze=False)[0]
-        for one, view in zip(axes, views, strict=True):
-            draw_surfaces(one, shown, length=length, view=view, colours=colours, lines=lines, box=box)
-        if colours is not None and values:
-            colours.bar(list(axes), np.concatenate(values), shrink=0.7)
-        if title:
-            drawn.suptitle(title)
+    look: dict[str, Any] = {"length": length, "colours": colours, "lines": lines, "box": box}
+    panels = [scene(shown, view=view, bar=view is views[-1], **look) for view in views]
+    draw(path, *panels, columns=len(panels), size=(size, size), title=title, dpi=dpi, comm=comm)
 
 
-def draw_curves(
-    axes: Any,
+def family(
     curves: Sequence[ArrayLike],
     *,
     length: str,
     colours: Colours | None = None,
     values: ArrayLike | None = None,
     coordinates: tuple[int, int] = (0, 1),
+    title: str = "",
     **style: Any,
-) -> None:
-    """Draw a family of curves in a plane at one scale, such as a beam or a section under growing load.
+) -> Panel:
+    """Panel of curves in a plane at one scale, such as a beam or a section under growing load.
 
     Args:
-        axes: of matplotlib.
         curves: points of each, shape (m, d); unit: length.
         length: unit of length.
-        colours: of the values, with a bar; None: one colour for all.
+        colours: of the values, with a bar; None: one after the other.
         values: of every curve, such as its load, shape (curves,).
         coordinates: which coordinates are drawn to the right and upwards.
+        title: above.
         style: passed on to ``plot``.
 
     Raises:
-        ValueError: colours without values or values without colours.
+        ValueError: colours without values or values without colours, or no unit.
     """
     if (colours is None) != (values is None):
         raise ValueError("colours and values belong together: both or neither is required")
-    style = {"linewidth": 1.3} | style
-    if colours is not None and values is not None:
-        numbers = checks.array("values", values, (len(curves),))
-        paints = colours.mappable(numbers).to_rgba(numbers)
-        colours.bar(axes, numbers)
-    for i, curve in enumerate(curves):
-        own = {"color": paints[i]} if colours is not None else {}
-        axes.plot(*np.asarray(curve)[:, coordinates].T, **(own | style))
+    numbers = np.zeros(0) if values is None else checks.array("values", values, (len(curves),))
     right, up = (label(f"$x_{i + 1}$", length) for i in coordinates)
-    axes.set(aspect="equal", xlabel=right, ylabel=up)
-    axes.grid(True, linewidth=0.4)
+
+    def panel(axes: Any) -> None:
+        paints = None if colours is None else colours.mappable(numbers).to_rgba(numbers)
+        for i, curve in enumerate(curves):
+            own = {} if paints is None else {"color": paints[i]}
+            axes.plot(*np.asarray(curve)[:, coordinates].T, **({"linewidth": 1.3} | own | style))
+        axes.set(aspect="equal", xlabel=right, ylabel=up, title=title)
+        axes.grid(True, linewidth=0.4)
+        if colours is not None:
+            colours.bar(axes, numbers)
+
+    return panel
