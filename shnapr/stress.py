@@ -77,6 +77,17 @@ def resultants(spline: ExtractedSpline, material: Material, y: Any) -> Resultant
     )
 
 
+def largest_principal(tensor: Any) -> Any:
+    """Largest principal value of a symmetric tensor of shape (m, m), m = 1 or 2.
+
+    Args:
+        tensor: such as the membrane forces.
+    """
+    if tensor.ufl_shape == (1, 1):
+        return tensor[0, 0]
+    return ufl.tr(tensor) / 2 + ufl.sqrt((tensor[0, 0] - tensor[1, 1]) ** 2 / 4 + tensor[0, 1] ** 2)
+
+
 def _shear(spline: ExtractedSpline, m: Any, current: Midsurface) -> Any:
     """Contravariant shear of the contravariant moments, shape (m,)."""
     al, be, ga, i = ufl.indices(4)

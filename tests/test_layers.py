@@ -53,7 +53,7 @@ FLOORS = tuple(
         "coudalfish.intervals coudalfish.restart",
         "coudalfish.run",
         "coudalfish.coupler",
-        "coudalfish.problems",
+        "coudalfish.problems coudalfish.valves",
         "coudalfish",
     )
 )

@@ -14,6 +14,7 @@ from shnapr.shell.equations import Displacements
 from shnapr.shell.options import ShellError, ShellReport
 from shnapr.shell.quantities import Energies, EnergyForms, resultant
 from shnapr.shell.scene import Scene
+from tigar_x import compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -185,6 +186,19 @@ class Shell(Scene):
         if self.time is not None and not self.time.in_step:
             raise ValueError("support_force() between steps: ask for it in take_step(measure=...), in the equations")
         return resultant(self.spline, self.residual)
+
+    def piercings(self) -> int:
+        """Number of places where the shell, a surface with contact, goes through itself at present.
+
+        Raises:
+            ValueError: it has no contact, whose r_self tells what is far along the surface.
+        """
+        from shnapr.contact.piercings import piercings
+
+        if self.contact is None:
+            raise ValueError("contact = None: a shell with contact is required")
+        quads, X = compat.subcells(self.spline.V)[1], self.spline.node_positions
+        return piercings(self.positions, quads, X, self.contact.r_self)
 
     def modes(self, count: int, *, shift: float = 0.0, backend: str | None = None) -> "Eigenpairs":
         """Modes of vibration about the present state, and their squared circular frequencies.

@@ -137,3 +137,22 @@ class LumpedProjector:
         self.space.M.mult(self._load, compat.petsc_vector(self._result))
         self._result.x.scatter_forward()
         return self.spline.nodal(self._result)
+
+
+class Projected:
+    """A physical field as nodal values, projected anew at each call; it may be a field of a series.
+
+    Args:
+        spline: the spline.
+        field: UFL expression, scalar or of shape (size,).
+    """
+
+    def __init__(self, spline: Projectable, field: Any) -> None:
+        shape = ufl.as_ufl(field).ufl_shape
+        self._projector = LumpedProjector(spline, *(shape or (1,)))
+        self._form = self._projector.compile(field)
+
+    def __call__(self) -> FloatArray:
+        """Values at this rank's nodes, shape (nodes, size); of a scalar (nodes,)."""
+        values = self._projector(self._form)
+        return values[:, 0] if values.shape[1] == 1 else values
