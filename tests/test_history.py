@@ -72,6 +72,17 @@ def test_cycles_are_whole_and_follow_each_other():
     assert sum(c.integral for c in cycles) == pytest.approx(course.between(cycles[0].t[0], cycles[-1].t[-1]).integral)
 
 
+@pytest.mark.parametrize("count", [1, 3, 16])
+def test_the_mean_over_whole_cycles_is_that_of_the_sine(count):
+    course = sine()
+    part = course.last_cycles(count, MEAN)
+    assert part.t[-1] - part.t[0] == pytest.approx(count / 1.7, rel=1e-2)
+    assert part.t[-1] > course.t[-1] - 1 / 1.7
+    assert part.mean == pytest.approx(MEAN, abs=0.01)
+    assert abs(course[: len(course) - 400].mean - MEAN) > 0.01
+    assert len(course.last_cycles(17, MEAN)) == len(course)
+
+
 def test_without_oscillation_there_is_no_frequency():
     rising = Course(np.arange(5.0), np.arange(5.0))
     assert np.isnan(rising.frequency())

@@ -24,7 +24,8 @@ class Clock(Protocol):
         """Time of the last accepted state."""
 
 
-def _warn(error: Exception, size: float) -> None:
+def warn(error: Exception, size: float) -> None:
+    """Warn once for all ranks of a step that failed, and of the smaller size."""
     if MPI.COMM_WORLD.rank == 0:
         log.warning(CUT, error, size)
 
@@ -35,8 +36,9 @@ def cut_steps(
     interval: float,
     failures: Any,
     *,
+    first: float | None = None,
     halvings: int = 6,
-    tell: Callable[[Exception, float], None] = _warn,
+    tell: Callable[[Exception, float], None] = warn,
 ) -> list[R]:
     """Advance by an interval in one step or, where steps fail, in smaller ones (collective).
 
@@ -45,7 +47,8 @@ def cut_steps(
         clocks: all that step together; their step size is ``interval`` afterwards. Unit: time.
         interval: time to advance by; unit: time.
         failures: exceptions that mean that a smaller step may help.
-        halvings: how often the step may be halved.
+        first: size of the first step, where one of the interval has failed already; None: the interval.
+        halvings: how often the interval may be halved.
         tell: told of a step that failed and of the smaller step size; by default warns.
 
     Returns:
@@ -56,12 +59,12 @@ def cut_steps(
         ValueError: a number is out of range.
     """
     smallest = checks.positive("interval", interval) / 2 ** checks.whole("halvings", halvings, 0)
-    start, size = clocks[0].time, interval
+    end, size = clocks[0].time + interval, interval if first is None else checks.positive("first", first)
     done: list[R] = []
     try:
-        while (left := start + interval - clocks[0].time) > 1e-9 * interval:
+        while (left := end - clocks[0].time) > 1e-9 * interval:
             for clock in clocks:
-                clock.step_size = interval if not done and size == interval else min(size, left)
+                clock.step_size = min(size, left)
             try:
                 done.append(take_step())
             except failures as error:

@@ -237,6 +237,18 @@ class Course:
         middle = float(self.y[len(self) // 2 :].mean()) if level is None and len(self) else level
         return [] if middle is None else [self[a : b + 1] for a, b in pairwise(self._steps_up(middle) + 1)]
 
+    def last_cycles(self, count: int = 1, level: float | None = None) -> "Course":
+        """The last whole cycles in one, such as for a mean over them; all samples where there are not as many.
+
+        Args:
+            count: number of cycles.
+            level: see :meth:`cycles`.
+        """
+        cycles = self.cycles(level)[-checks.whole("count", count, 1) :]
+        if len(cycles) < count:
+            return self
+        return self[(self.t >= cycles[0].t[0]) & (self.t <= cycles[-1].t[-1])]
+
     # -- oscillations -------------------------------------------------------------------------------------------------
 
     def frequency(self) -> float:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from tigar_x import checks
-from tigar_x.fem.cutting import cut_steps
+from tigar_x.fem.cutting import cut_steps, warn
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.run.restart import Integrators, State
 
@@ -88,10 +88,19 @@ class IntegratorStepper:
         return self._clocks[0].step_size
 
     def advance(self, interval: float, measure: Callable[[], Any] | None) -> Sequence[Any]:
-        """Advance by an interval, see :func:`cut_steps`."""
-        return cut_steps(
-            lambda: self._take_step(measure), self._clocks, interval, self._failures, halvings=self._halvings
-        )
+        """Advance by an interval, which is the step size; a step that does not fail leaves the clocks alone."""
+
+        def take_step() -> Any:
+            return self._take_step(measure)
+
+        try:
+            return [take_step()]
+        except self._failures as error:
+            if not self._halvings:
+                raise
+            warn(error, interval / 2)
+        clocks, failures, halvings = self._clocks, self._failures, self._halvings
+        return cut_steps(take_step, clocks, interval, failures, first=interval / 2, halvings=halvings)
 
     def monitors(self, _: Any) -> Mapping[str, float]:
         """None."""

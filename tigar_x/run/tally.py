@@ -43,7 +43,7 @@ class Tally:
 
         Args:
             reports: of its steps, more than one where steps were cut.
-            monitors: numbers by name whose largest values matter, of every step.
+            monitors: numbers >= 0 by name whose largest values matter, of every step; what is below counts as zero.
         """
         n, sums, most = self.numbers, self.numbers["sums"], self.numbers["most"]
         n["intervals"] += 1
@@ -55,7 +55,7 @@ class Tally:
                 most[name] = max(most.get(name, 0), *counts)
         for numbers in monitors:
             for name, value in numbers.items():
-                most[f"{name}_max"] = max(most.get(f"{name}_max", float(value)), float(value))
+                most[f"{name}_max"] = max(most.get(f"{name}_max", 0.0), float(value))
         n["wall_s"], n["cpu_s"] = self._spent[0] + self.watch.wall_s, self._spent[1] + self.watch.cpu_s
         self._steps += 1
         self._memory["rss_mib_end"] = rss_mib()
