@@ -55,54 +55,33 @@ def steady_cavity() -> Any:
 
 def static_shell() -> Any:
     """A clamped plate under its own weight."""
-    import ufl
-    from mpi4py import MPI
-
-    from shnapr.loads import dead_load
-    from shnapr.supports import clamped
-    from shnapr.svk import StVenantKirchhoff
-    from shnapr.work import internal_tangent, internal_work
-    from tigar_x.fem.solve import newton
+    from shnapr import DeadLoad, Shell, StVenantKirchhoff
     from tigar_x.geometry import shapes
-    from tigar_x.splines.spline import ExtractedSpline
-    from tigar_x.splines.spline_system import SplineSystem
 
     plate = shapes.plate(lengths=(1.0, 1.0), elements=(4, 4), degrees=(2, 2))
-    spline = ExtractedSpline(plate, MPI.COMM_SELF, zero_dofs=clamped(plate, *plate.open_sides))
-    y, z, material = spline.function(name="y"), ufl.TestFunction(spline.V), StVenantKirchhoff(1e6, 0.3, 0.02)
-    residual = internal_work(spline, material, y, z) + dead_load(spline, (0.0, 0.0, -10.0), z)
-    system = SplineSystem(spline, residual, internal_tangent(spline, material, y, z, y), unknown=y)
-    newton(system, rtol=1e-8)
-    return system
+    weight = DeadLoad((0.0, 0.0, -10.0))
+    shell = Shell(plate, StVenantKirchhoff(1e6, 0.3, 0.02), clamped=plate.open_sides, loads=[weight])
+    shell.solve()
+    return shell
 
 
 def touching_shell() -> Any:
     """Two clamped strips, of which one is pressed onto the other."""
     import ufl
-    from mpi4py import MPI
 
-    from shnapr.contact import LinearKernel, SelfContact
-    from shnapr.contact.system import ContactSystem
-    from shnapr.loads import dead_load
-    from shnapr.supports import clamped
-    from shnapr.svk import StVenantKirchhoff
-    from shnapr.work import internal_tangent, internal_work
-    from tigar_x.fem.solve import newton
+    from shnapr import ContactRecipe, DeadLoad, LinearKernel, Shell, StVenantKirchhoff
     from tigar_x.geometry import shapes
     from tigar_x.geometry.multipatch import disjoint
-    from tigar_x.splines.quadrature import NodalQuadrature
-    from tigar_x.splines.spline import ExtractedSpline
+
+    def on_the_upper(x: Any, t: Any) -> Any:
+        return [0.0, ufl.conditional(ufl.gt(x[1], 0.05), -t, 0.0)]
 
     strips = disjoint(*(shapes.line((0.0, height), (1.0, height), elements=16, degree=2) for height in (0.0, 0.1)))
-    spline = ExtractedSpline(strips, MPI.COMM_SELF, zero_dofs=clamped(strips, "u0"))
-    y, z, material = spline.function(name="y"), ufl.TestFunction(spline.V), StVenantKirchhoff(1e5, 0.3, 0.05)
-    upper = ufl.conditional(ufl.gt(spline.F[1], 0.05), 1.0, 0.0)
-    residual = internal_work(spline, material, y, z) + dead_load(spline, upper * ufl.as_vector([0.0, -1.0]), z)
-    contact = SelfContact(NodalQuadrature.of(spline), LinearKernel(0.08, 1e5), 0.09)
-    tangent = internal_tangent(spline, material, y, z, y)
-    system = ContactSystem(spline, residual, tangent, contact, unknown=y)
-    newton(system, rtol=1e-8, max_iterations=40)
-    return system
+    contact = ContactRecipe(LinearKernel(0.08, 1e5), 0.09, spacing=None)
+    material, loads = StVenantKirchhoff(1e5, 0.3, 0.05), [DeadLoad(on_the_upper)]
+    shell = Shell(strips, material, clamped=["u0"], loads=loads, contact=contact)
+    shell.solve()
+    return shell
 
 
 def coupled() -> Any:

@@ -36,6 +36,12 @@ def with_constants(domain: mesh.Mesh, data: T) -> T:
     return replace(data, **found)
 
 
+def constant_of(domain: mesh.Mesh, value: Any) -> Any:
+    """A Constant in place of a number or of a sequence of numbers; anything else as it is."""
+    constant = _constant(domain, value)
+    return value if constant is None else constant
+
+
 def _constant(domain: mesh.Mesh, value: Any) -> compat.Constant | None:
     """Constant of a number or of a sequence of numbers; None of anything else."""
     if _is_number(value):

@@ -26,7 +26,7 @@ class Displacements:
 
     Attributes:
         clock: as given.
-        space: of the displacement.
+        space: of the displacement, which is the spline itself: it knows positions, of which residuals round off.
         fields: what the loads see.
     """
 
@@ -38,7 +38,7 @@ class Displacements:
         loads: Sequence[Load],
         clock: TimeIntegrator | LoadStepper,
     ) -> None:
-        self.clock, self.space = clock, spline.vector
+        self.clock, self.space = clock, spline
         self._spline, self._material, self._loads, self._y = spline, material, loads, clock.x
         thickness = getattr(material, "thickness", None)
         y, v, t = clock.x, None, clock.t

@@ -7,6 +7,9 @@ from tigar_x import checks
 from tigar_x.fem.line_search import LineSearch
 from tigar_x.splines.spline_system import SplineSystem
 
+STALLED = 1e3
+"""Multiple of the accepted residual that is accepted as well where rounding keeps Newton's method from going on."""
+
 
 class ShellError(RuntimeError):
     """A step or a static solve that failed.
@@ -79,4 +82,5 @@ class ShellReport:
 
 def newton_options(options: ShellOptions, system: SplineSystem) -> dict[str, Any]:
     """Options of :func:`tigar_x.fem.newton.newton` for a system."""
-    return vars(options) | {"atol": system.rounding if options.atol is None else options.atol}
+    atol = system.rounding if options.atol is None else options.atol
+    return vars(options) | {"atol": atol, "stalled": STALLED}

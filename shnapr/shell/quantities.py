@@ -123,16 +123,15 @@ def resultant(spline: ExtractedSpline, form: ufl.Form) -> FloatArray:
 
     Args:
         spline: the midsurface.
-        form: linear in a test function whose first nsd components are a virtual displacement.
+        form: linear in a test function of ``spline.V``.
 
     Returns:
         What the form gives for a virtual displacement of all points by one along each axis, shape (nsd,).
     """
-    V = form.arguments()[0].ufl_function_space()
-    nodal, (compiled,) = compat.create_vector(V), compat.compile_forms(form)
+    nodal, (compiled,) = compat.create_vector(spline.V), compat.compile_forms(form)
     compat.assemble_vector(nodal, compiled)
     nodal.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-    forces = np.array(nodal.array_r).reshape(-1, V.dofmap.index_map_bs)[:, : spline.nsd]
+    forces = np.array(nodal.array_r).reshape(-1, spline.nsd)
     nodal.destroy()
     # the homogeneous field of a uniform displacement has the weights as its nodal values
     own = spline.node_weights[: len(forces)] @ forces

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from shnapr.conditions import Load
-from shnapr.parameters import with_constants
+from shnapr.parameters import constant_of, with_constants
 from shnapr.shell.dynamics import check_clock
 from shnapr.shell.equations import Displacements
 from shnapr.shell.options import ShellOptions
 from shnapr.shell.quantities import Places, field_of
-from shnapr.shell.supported import supported
+from shnapr.shell.supported import having, listed, supported
 from shnapr.work import Material
-from tigar_x import checks, compat
+from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver, chosen, direct
 from tigar_x.fem.schemes import Scheme, companion, generalized_alpha
@@ -75,6 +75,11 @@ class Scene:
     ) -> None:
         if density is not None:
             checks.parameter("density", density, checks.not_negative)
+        having("material", material, "energy_density", "a material, such as shnapr's StVenantKirchhoff")
+        for i, load in enumerate(listed("loads", loads)):
+            having(f"loads[{i}]", load, "term", "a load, such as shnapr's Pressure(1.0)")
+        if contact is not None:
+            having("contact", contact, "of", "a recipe, such as shnapr's ContactRecipe(kernel, r_self)")
         if dt is None and scheme is not None:
             raise ValueError("dt = None with a scheme: a time step is required, or neither")
         is_mixed = checks.choice("formulation", formulation, ("displacement", "mixed")) == "mixed"
@@ -87,7 +92,7 @@ class Scene:
         domain = self.spline.mesh
         self.copies = copies if domain.comm.size == 1 else MPI.COMM_SELF
         self.material = with_constants(domain, material)
-        self.density = compat.Constant(domain, float(density)) if isinstance(density, int | float) else density
+        self.density = constant_of(domain, density)
         self.loads = tuple(with_constants(domain, load) for load in loads)
         self.solver = chosen(solver, direct(), PREFIX)
         self.updates = tuple(updates)

@@ -181,8 +181,9 @@ class Shell(Scene):
         ask in the ``measure`` of a step.
 
         Raises:
-            ValueError: no step is in progress.
+            ValueError: no step is in progress, or membrane forces are unknowns.
         """
+        self._in_displacements("support_force()")
         if self.time is not None and not self.time.in_step:
             raise ValueError("support_force() between steps: ask for it in take_step(measure=...), in the equations")
         return resultant(self.spline, self.residual)

@@ -1,5 +1,6 @@
 """Equilibrium of a shell along its load."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -60,7 +61,7 @@ class Statics:
             SolveError: the load was not reached.
         """
         factor = self._factor
-        chosen = newton_options(self._options, self._system) | {"reference": self._full_load() or None}
+        chosen = newton_options(self._options, self._system) | {"reference": self._full_load()}
 
         def found(t: float) -> None:
             if self._after is not None:
@@ -98,15 +99,15 @@ class Statics:
         for update in self._updates:
             update(factor)
 
-    def _full_load(self) -> float:
-        """Norm of the residual of the undeformed shell under the full load."""
+    def _full_load(self) -> float | None:
+        """Norm of the residual of the undeformed shell under the full load; None where there is none."""
         state = self._y.copy()
         self._y[:] = 0.0
         self._load(1.0)
         norm = self._system.assemble_residual()
         self._y[:] = state
         self._load(self._factor.time)
-        return norm
+        return norm if math.isfinite(norm) and norm > 0.0 else None
 
     def _again(self, until: float, found: Callable[[float], None], chosen: dict[str, Any]) -> LoadReport:
         """Equilibrium at a load that is not above the present one, in one step."""

@@ -1,6 +1,7 @@
-"""The spline of a shell, with its supports by name."""
+"""The spline of a shell, with its supports by name, and checks of what else a shell is made of."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -39,9 +40,7 @@ def supported(
         return geometry
     checks.kind("geometry", geometry, Patch | MultiPatch, "a Patch, a MultiPatch or an ExtractedSpline")
     for name, sides, hold in (("clamped", clamped, supports.clamped), ("pinned", pinned, supports.pinned)):
-        if isinstance(sides, str):
-            raise ValueError(f"{name} = {sides!r}: a sequence of names is required, such as ({sides!r},)")
-        if sides:
+        if listed(name, sides):
             held.append(hold(geometry, *sides))
     whole = [part for part in held if len(part)]
     return ExtractedSpline(
@@ -51,3 +50,31 @@ def supported(
         zero_dofs=np.concatenate(whole) if whole else (),
         constraints=constraints,
     )
+
+
+def listed(name: str, value: Any) -> Sequence[Any]:
+    """A list or tuple, else ValueError; one text or one load is none.
+
+    Args:
+        name: what messages call it.
+        value: the sequence.
+    """
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"{name} = {value!r}: a list or a tuple is required, such as [{value!r}]")
+    return value
+
+
+def having(name: str, value: Any, method: str, wanted: str) -> None:
+    """Refuse what lacks a method, such as a number or a class instead of an object of it.
+
+    Args:
+        name: what messages call it.
+        value: the object.
+        method: what it is asked for.
+        wanted: what messages say is required.
+
+    Raises:
+        ValueError: it lacks it.
+    """
+    if isinstance(value, type) or not callable(getattr(value, method, None)):
+        raise ValueError(f"{name} = {value!r}: {wanted} is required")
