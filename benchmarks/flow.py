@@ -17,6 +17,7 @@ from load import load_demo
 
 from tigar_x import compat
 from tigar_x.run import script
+from tigar_x.run.figure import draw, lines
 from tigar_x.run.progress import Stopwatch, peak_rss_mib
 from tigar_x.run.summary import table, write_summary
 
@@ -102,28 +103,25 @@ def speedups(rows: list[dict[str, Any]], speed: float) -> list[list[Any]]:
 
 def plot(path: Path, rows: list[dict[str, Any]], speed: float) -> None:
     """H1 errors against scaled CPU time; the published code's points are black."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, both = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
-    for axes, problem in zip(both, ("lid_driven_cavity", "taylor_green"), strict=True):
+    panels = []
+    for problem in ("lid_driven_cavity", "taylor_green"):
+        courses: dict[str, Any] = {}
+        styles: dict[str, Any] = {}
         for cells, style in (("triangle", "-"), ("quadrilateral", "--")):
             for degree in sorted(SEQUENCES):
                 mine = [r for r in rows if (r["problem"], r["cells"], r["degree"]) == (problem, cells, degree)]
                 if mine:
-                    x, y = [r["cpu_s"] * speed for r in mine], [r["H1_u"] for r in mine]
-                    axes.loglog(x, y, f"C{degree - 1}o{style}", markersize=4, label=f"k = {degree}, {cells}s")
+                    name = f"k = {degree}, {cells}s"
+                    courses[name] = [r["cpu_s"] * speed for r in mine], [r["H1_u"] for r in mine]
+                    styles[name] = {"fmt": f"C{degree - 1}o{style}", "markersize": 4}
         for degree, marker in ((1, "s"), (2, "^")):
             old = [r for r in legacy() if (r["problem"], r["degree"]) == (problem, degree)]
-            x, y = [r["cpu_s"] for r in old], [r["H1_u"] for r in old]
-            axes.loglog(x, y, f"k{marker}:", fillstyle="none", label=f"published code, k = {degree}")
-        axes.set(xlabel="CPU seconds (scaled)", ylabel="H1 seminorm of the velocity's error", title=problem)
-        axes.grid(True, which="both", alpha=0.3)
-        axes.legend(fontsize="small")
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+            name = f"published code, k = {degree}"
+            courses[name] = [r["cpu_s"] for r in old], [r["H1_u"] for r in old]
+            styles[name] = {"fmt": f"k{marker}:", "fillstyle": "none"}
+        axes = {"x": ("CPU time, scaled", "s"), "y": ("H1 seminorm of the velocity's error", "-")}
+        panels.append(lines(courses, **axes, styles=styles, title=problem, xscale="log", yscale="log"))
+    draw(path, *panels)
 
 
 def main(

@@ -15,6 +15,7 @@ import calibrate
 import numpy as np
 
 from tigar_x.run import script
+from tigar_x.run.figure import draw, lines
 from tigar_x.run.summary import table
 
 HERE = Path(__file__).resolve().parent
@@ -93,21 +94,20 @@ def speedups(rows: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
 
 def plot(path: Path, groups: dict[str, list[dict[str, Any]]]) -> None:
     """Four norms against scaled CPU time, one line per preset and time step."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained", sharex=True)
-    for axis, norm in zip(axes.flat, ("L2_u", "H1_u", "L2_p", "L2_y"), strict=True):
-        for name, rows in groups.items():
-            style = {"color": "k", "marker": "s"} if name.startswith("published") else {"marker": "o"}
-            axis.loglog([r["cpu_s_scaled"] for r in rows], [r[norm] for r in rows], label=name, **style)
-        axis.set(title=f"{norm.replace('_', ' ')} error", xlabel="CPU seconds (scaled)")
-        axis.grid(True, which="both", alpha=0.3)
-    axes[0, 0].legend(fontsize=8)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    styles = {n: {"fmt": "ks-" if n.startswith("published") else "o-"} for n in groups}
+    times = {name: [r["cpu_s_scaled"] for r in rows] for name, rows in groups.items()}
+    panels = [
+        lines(
+            {name: (times[name], [r[norm] for r in rows]) for name, rows in groups.items()},
+            x=("CPU time, scaled", "s"),
+            y=(f"{norm.replace('_', ' ')} error", "-"),
+            styles=styles,
+            xscale="log",
+            yscale="log",
+        )
+        for norm in ("L2_u", "H1_u", "L2_p", "L2_y")
+    ]
+    draw(path, *panels)
 
 
 def main(

@@ -15,6 +15,7 @@ from typing import Any
 import calibrate
 
 from tigar_x.run import script
+from tigar_x.run.figure import draw, lines
 from tigar_x.run.summary import table, write_summary
 
 HERE = Path(__file__).resolve().parent
@@ -103,31 +104,27 @@ def against_targets(r: dict[str, Any], old: dict[str, float]) -> str:
 
 def plot(path: Path, rows: list[dict[str, Any]], old: dict[tuple[int, int], dict[str, float]]) -> None:
     """Errors against scaled CPU time and against elements; the published code's points are squares."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained", sharey=True)
+    timed: dict[str, Any] = {}
+    refined: dict[str, Any] = {}
+    square = {"fmt": "ks", "fillstyle": "none", "markersize": 9}
+    styles: dict[str, Any] = {"published code": square}
     for i, degree in enumerate(sorted({r["degree"] for r in rows})):
-        mine = [r for r in rows if r["degree"] == degree]
+        mine, name = [r for r in rows if r["degree"] == degree], f"p = {degree}"
         errors = [r["error"] for r in mine]
-        left.loglog([r["cpu_s_scaled"] for r in mine], errors, f"C{i}o-", label=f"p = {degree}")
-        right.loglog([r["elements"] for r in mine], errors, f"C{i}o-", label=f"p = {degree}")
+        timed[name], refined[name] = (
+            ([r["cpu_s_scaled"] for r in mine], errors),
+            ([r["elements"] for r in mine], errors),
+        )
+        styles[name] = {"fmt": f"C{i}o-"}
         points = [(n, abs(v["sinking"] / CONVERGED - 1.0)) for (p, n), v in sorted(old.items()) if p == degree]
         if points:
-            right.loglog(*zip(*points, strict=True), "ks", fillstyle="none", markersize=9)
-    timed = [v for v in old.values() if "solve_cpu_s" in v]
-    seconds = [v["extraction_cpu_s"] + v["assembly_cpu_s"] + v["solve_cpu_s"] for v in timed]
-    style = {"color": "k", "marker": "s", "linestyle": "", "fillstyle": "none", "markersize": 9}
-    left.loglog(seconds, [abs(v["sinking"] / CONVERGED - 1.0) for v in timed], label="published code", **style)
-    left.set(xlabel="CPU seconds (scaled)", ylabel="relative error of the deflection")
-    right.set(xlabel="elements per side")
-    left.legend()
-    for axes in (left, right):
-        axes.grid(True, which="both", alpha=0.3)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+            refined[f"_{degree}"], styles[f"_{degree}"] = tuple(zip(*points, strict=True)), square
+    before = [v for v in old.values() if "solve_cpu_s" in v]
+    seconds = [v["extraction_cpu_s"] + v["assembly_cpu_s"] + v["solve_cpu_s"] for v in before]
+    timed["published code"] = seconds, [abs(v["sinking"] / CONVERGED - 1.0) for v in before]
+    axes = {"y": ("relative error of the deflection", "-"), "styles": styles, "xscale": "log", "yscale": "log"}
+    left, right = ("CPU time, scaled", "s"), ("elements per side", "-")
+    draw(path, lines(timed, x=left, **axes), lines(refined, x=right, **axes))
 
 
 def main(

@@ -22,6 +22,7 @@ from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu
 from tigar_x.run import script
+from tigar_x.run.figure import draw, lines
 from tigar_x.run.progress import Stopwatch, peak_rss_mib, rss_mib
 
 DEFAULT = CouplingOptions()
@@ -226,29 +227,21 @@ def row(study: str, case: Case, result: dict[str, Any], finest: list[list[float]
 
 def plot(path: Path, rows: list[dict[str, Any]], curves: dict[str, FloatArray]) -> None:
     """Error against run time, and curves of the top tip."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
     groups: dict[str, list[dict[str, Any]]] = {}
     for r in rows:
         if "error" in r and r["study"] in ("meshes", "time steps"):
             name = r["setting"].rsplit(", ", 1)[0]
             groups.setdefault(name + ", time steps" if r["study"] == "time steps" else name, []).append(r)
-    for name, members in groups.items():
-        style = "o--" if name.endswith("time steps") else "o-"
-        left.loglog([r["cpu_s_scaled"] for r in members], [r["error"] for r in members], style, label=name)
-    left.set(xlabel="CPU seconds (scaled)", ylabel="error of the tips, rms over time")
-    left.grid(True, which="both", alpha=0.3)
-    left.legend(fontsize=7)
-    for name, x in curves.items():
-        right.plot(np.linspace(0.0, 3.0, len(x)), x, linewidth=1.0, label=name)
-    right.set(xlabel="$t$", ylabel="top tip along the channel", xlim=(0.6, 2.0), ylim=(0.28, 0.62))
-    right.legend(fontsize=7, loc="upper right")
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    errors = {n: ([r["cpu_s_scaled"] for r in group], [r["error"] for r in group]) for n, group in groups.items()}
+    styles = {name: {"fmt": "o--" if name.endswith("time steps") else "o-"} for name in groups}
+    seconds, rms = ("CPU time, scaled", "s"), ("error of the tips, rms over time", "length")
+    tips = {name: (np.linspace(0.0, 3.0, len(x)), x) for name, x in curves.items()}
+    shown = {"xlim": (0.6, 2.0), "ylim": (0.28, 0.62)}
+    draw(
+        path,
+        lines(errors, x=seconds, y=rms, styles=styles, xscale="log", yscale="log"),
+        lines(tips, x=("$t$", "time"), y=("top tip along the channel", "length"), **shown),
+    )
 
 
 def main(
