@@ -13,7 +13,7 @@ from tigar_x import checks, compat
 from tigar_x.compat import IntArray
 from tigar_x.ranks import on_root
 from varmint.mesh.checks import DIMENSIONS, VERTICES, MeshArrays, checked_arrays, number_rows
-from varmint.mesh.named import SIDES, NamedMesh, named, tagged
+from varmint.mesh.named import NamedMesh, equal_parts, named, sides_of, tagged
 
 
 def from_arrays(
@@ -71,13 +71,8 @@ def mirrored_box(
         ValueError: another dimension, axis or half, a corner that is not above the lower one, numbers of intervals that
             are not positive, or an odd one along the axis.
     """
-    d = checks.choice("dimension of lower", np.size(lower), (2, 3))
-    low, high = checks.array("lower", lower, (d,)), checks.array("upper", upper, (d,))
-    if not (low < high).all():
-        raise ValueError(f"upper = {upper!r}: coordinates > lower = {lower!r} are required")
-    if np.shape(elements) != (d,):
-        raise ValueError(f"elements = {elements!r}: one number for each of the {d} axes is required")
-    counts = tuple(checks.whole(f"elements[{i}]", n, 1) for i, n in enumerate(elements))
+    lines = equal_parts(lower, upper, elements)
+    d, counts = len(lines), tuple(len(line) - 1 for line in lines)
     if counts[checks.choice("axis", axis, tuple(range(d)))] % 2:
         raise ValueError(f"elements[{axis}] = {counts[axis]}: an even number is required")
     is_upper = checks.choice("original", original, ("lower", "upper")) == "upper"
@@ -90,13 +85,10 @@ def mirrored_box(
         image = (places[:, axis] < counts[axis] // 2) == is_upper
         vertices[image, ..., axis] = places[image, None, None, axis] + 1 - paths[..., axis]
         cells = np.ravel_multi_index(tuple(np.moveaxis(vertices, -1, 0)), [n + 1 for n in counts]).reshape(-1, d + 1)
-        lines = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
         x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, d)
         return MeshArrays("triangle" if d == 2 else "tetrahedron", cells, x)
 
-    ends = [(i, name, x[i]) for i in range(d) for name, x in zip(SIDES[i], (low, high), strict=True)]
-    sides: dict[str, Any] = {name: lambda x, i=i, end=end: x[i] == end for i, name, end in ends}
-    return named(distributed(comm, make).domain, **sides)
+    return named(distributed(comm, make).domain, **sides_of(lines))
 
 
 def checked(domain: mesh.Mesh) -> mesh.Mesh:

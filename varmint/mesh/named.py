@@ -15,7 +15,7 @@ from dolfinx import mesh
 from numpy.typing import ArrayLike
 
 from tigar_x import checks, compat
-from tigar_x.compat import IntArray
+from tigar_x.compat import FloatArray, IntArray
 
 Predicate = Callable[[Any], Any]
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
@@ -156,6 +156,23 @@ def box(
     Raises:
         ValueError: another dimension or cell, a corner that is not above the lower one, or fewer than one interval.
     """
+    return grid(comm, equal_parts(lower, upper, elements), cell)
+
+
+def equal_parts(lower: ArrayLike, upper: ArrayLike, elements: Sequence[int]) -> list[FloatArray]:
+    """Lines or planes that cut a rectangle or box into cells of equal size.
+
+    Args:
+        lower: see :func:`box`, as the others.
+        upper: see there.
+        elements: see there.
+
+    Returns:
+        For every axis their coordinates, from one side to the other.
+
+    Raises:
+        ValueError: another dimension, a corner that is not above the lower one, or fewer than one interval.
+    """
     dim = checks.choice("dimension of lower", np.size(lower), (2, 3))
     low, high = checks.array("lower", lower, (dim,)), checks.array("upper", upper, (dim,))
     if not (low < high).all():
@@ -163,7 +180,7 @@ def box(
     if np.shape(elements) != (dim,):
         raise ValueError(f"elements = {elements!r}: one number for each of the {dim} axes is required")
     counts = [checks.whole(f"elements[{i}]", n, 1) for i, n in enumerate(elements)]
-    return grid(comm, [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)], cell)
+    return [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
 
 
 def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None) -> NamedMesh:
@@ -192,9 +209,18 @@ def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None) ->
     domain = make(comm, [np.zeros(dim), np.array(counts, dtype=np.float64)], counts, kind)
     for i, line in enumerate(axes):
         domain.geometry.x[:, i] = line[np.rint(domain.geometry.x[:, i]).astype(int)]
-    ends = [(i, name, end) for i in range(dim) for name, end in zip(SIDES[i], axes[i][[0, -1]], strict=True)]
+    return named(domain, **sides_of(axes))
+
+
+def sides_of(lines: Sequence[FloatArray]) -> dict[str, Any]:
+    """Predicates of the sides of a rectangle or box by name.
+
+    Args:
+        lines: coordinates along every axis, from one side to the other.
+    """
+    ends = [(i, name, end) for i, line in enumerate(lines) for name, end in zip(SIDES[i], line[[0, -1]], strict=True)]
     sides: dict[str, Any] = {name: lambda x, i=i, end=end: x[i] == end for i, name, end in ends}
-    return named(domain, **sides)
+    return sides
 
 
 def tagged(domain: mesh.Mesh, kind: str, groups: Mapping[str, IntArray]) -> Any:
