@@ -275,7 +275,7 @@ def draw_shell(
         colours: of the fields; None: there are none.
         views: from where, one picture each.
         lines: points of lines in space, shape (m, 3) each; unit: length.
-        box: see :func:`draw_surfaces`.
+        box: see :func:`scene`.
         title: above all.
         size: width and height of each picture in inches.
         dpi: pixels per inch.
