@@ -12,7 +12,7 @@ from numpy.polynomial.legendre import leggauss
 from shnapr.hyperelastic import Hyperelastic, neo_hookean
 from shnapr.kinematics import dual_frame, midsurface
 from shnapr.loads import edge_traction
-from shnapr.stress import cauchy, resultants, second_piola, von_mises
+from shnapr.stress import cauchy, largest_principal, resultants, second_piola, von_mises
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import conjugates, internal_tangent, internal_work
 from tigar_x import compat
@@ -320,3 +320,10 @@ def test_level_outside_the_thickness(level):
         for function in (second_piola, cauchy, von_mises):
             with pytest.raises(ValueError, match=r"^level = .*: a .*number"):
                 function(s, SVK, s.function(), given)
+
+
+@pytest.mark.parametrize("matrix", [[[3.0, -1.0], [-1.0, 2.0]], [[-2.0, 0.0], [0.0, -5.0]], [[1.0, 4.0], [4.0, 1.0]]])
+def test_the_largest_principal_value_is_the_largest_eigenvalue(matrix):
+    value = largest_principal(ufl.as_matrix(matrix))
+    assert value(()) == pytest.approx(np.linalg.eigvalsh(matrix).max(), rel=1e-14)
+    assert largest_principal(ufl.as_matrix([[-0.5]]))(()) == -0.5
