@@ -44,6 +44,7 @@ class Leaflets:
         shell: a surface of one patch a leaflet.
 
     Attributes:
+        y: homogeneous displacement.
         net: points of the leaflets on a net, see :mod:`tigar_x.splines.sampling`.
 
     Raises:
@@ -54,13 +55,13 @@ class Leaflets:
         spline = shell.spline
         if (spline.dim, spline.nsd) != (2, 3):
             raise ValueError(f"shell: dimension {spline.dim} in {spline.nsd}: a surface in space is required")
-        self._y, self._contact = shell.y, shell.contact
+        self.y, self._contact = shell.y, shell.contact
         self._marks = sampling.marks(spline, [[0.5, 0.0], [0.5, 0.5]])
         self._edges, self.net = sampling.line(spline, 0, EDGE, at=0.0), sampling.net(spline, NET)
 
     def marks(self) -> FloatArray:
         """Middle of the free edge and belly of each leaflet, shape (leaflets, 2, 3); unit: length."""
-        return self._marks.positions(self._y)
+        return self._marks.positions(self.y)
 
     def heights(self) -> FloatArray:
         """Distances of the marks from the third axis, and their third coordinates, shape (leaflets, 2, 2)."""
@@ -69,11 +70,11 @@ class Leaflets:
 
     def opening(self) -> float:
         """Area within the free edges, seen along the third axis; unit: length^2."""
-        return sampling.enclosed_area(self._edges.positions(self._y))
+        return sampling.enclosed_area(self._edges.positions(self.y))
 
     def asymmetry(self) -> float:
         """Root mean square distance of the leaflets, turned about the third axis onto each other; unit: length."""
-        x = self.net.positions(self._y)
+        x = self.net.positions(self.y)
         turned = [leaflet @ turn(-2.0 * np.pi * k / len(x)).T for k, leaflet in enumerate(x)]
         return float(np.sqrt(np.mean(np.sum((turned - np.mean(turned, axis=0)) ** 2, axis=-1))))
 

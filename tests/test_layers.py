@@ -54,6 +54,7 @@ FLOORS = tuple(
         "coudalfish.run",
         "coudalfish.coupler",
         "coudalfish.problems coudalfish.valves",
+        "coudalfish.valve_pictures",
         "coudalfish",
     )
 )
