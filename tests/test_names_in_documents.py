@@ -2,10 +2,12 @@
 
 import ast
 import importlib
+import inspect
 import re
 
 import pytest
 from documents import DOCUMENTS, blocks, inline, prose
+from load import load_demo
 from on_disk import ROOT
 
 PACKAGES = ("tigar_x", "shnapr", "varmint", "coudalfish")
@@ -132,3 +134,24 @@ def test_what_replaces_a_legacy_name_is_there():
     assert len(found) > 300
     missing = {f"{name} in {code}" for name, code in found if name not in words}
     assert not missing
+
+
+COMMAND = re.compile(r"(demos/|benchmarks/|^\| `)(\w+)\.py((?: +(?:--?)?[\w.,/=*-]+)*)", flags=re.MULTILINE)
+
+
+def options(folder, name):
+    """Of the command line of a demo (a row of a table starts with one) or a benchmark, which its ``main`` gives."""
+    if folder != "benchmarks/":
+        return set(inspect.signature(load_demo(name).main).parameters)
+    tree = ast.parse((ROOT / "benchmarks" / f"{name}.py").read_text())
+    (main,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "main")
+    return {arg.arg for arg in (*main.args.args, *main.args.kwonlyargs)}
+
+
+def test_commands_in_documents_have_their_options():
+    found = [match for path in DOCUMENTS for match in COMMAND.findall(path.read_text())]
+    assert len(found) > 30
+    for folder, name, words in found:
+        for option in re.findall(r" --([\w-]+)", words):
+            names = {option.replace("-", "_"), option.removeprefix("no-").replace("-", "_")}
+            assert names & options(folder, name), f"{folder}{name}.py --{option}"

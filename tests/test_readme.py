@@ -1,6 +1,5 @@
 """The README's example runs as printed, and its links lead somewhere."""
 
-import ast
 import logging
 import re
 
@@ -62,13 +61,5 @@ def test_targets_named_in_the_readme_exist():
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
 
 
-def test_demos_named_in_the_readme_take_what_it_gives_them():
-    """All demos are in the table, with options that their ``main`` has."""
-    rows = re.findall(r"^\| `(\w+)\.py([^`]*)`", TEXT, flags=re.MULTILINE)
-    assert {name for name, _ in rows} == set(DEMOS)
-    for name, words in rows:
-        tree = ast.parse((ROOT / "demos" / f"{name}.py").read_text())
-        (main,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "main")
-        options = {arg.arg.replace("_", "-") for arg in (*main.args.args, *main.args.kwonlyargs)}
-        for option in re.findall(r"--([\w-]+)", words):
-            assert option.removeprefix("no-") in options, f"{name}: --{option}"
+def test_all_demos_are_in_the_table():
+    assert set(re.findall(r"^\| `(\w+)\.py", TEXT, flags=re.MULTILINE)) == set(DEMOS)
