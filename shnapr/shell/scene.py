@@ -227,6 +227,12 @@ class Scene:
         clock.x_old.x.array[:], clock.xdot_old.x.array[:], clock.xddot_old.x.array[:] = y.x.array, v.x.array, 0.0
 
     @property
+    def load_factor(self) -> float:
+        """Part of the loads that the present state carries; 1 in time."""
+        clock = self._equations.clock
+        return clock.time if isinstance(clock, LoadStepper) else 1.0
+
+    @property
     def positions(self) -> FloatArray:
         """Present positions of this rank's nodes, shape (nodes, nsd); unit: length."""
         return self.spline.node_positions + self.spline.nodal(self.y)

@@ -55,7 +55,14 @@ class Statics:
         extrapolate: bool,
         each: Callable[[float], None] | None,
     ) -> LoadReport:
-        """See :meth:`shnapr.shell.Shell.solve`.
+        """Equilibrium at a load factor, see :meth:`shnapr.shell.Shell.solve`.
+
+        Args:
+            until: load factor.
+            step: first step; None: all that is left.
+            control: when steps are cut and grown; None: down to a thousandth of the first one, and never beyond it.
+            extrapolate: whether steps start from the last increment in proportion.
+            each: called with the load factor after every step; None: nothing is.
 
         Raises:
             SolveError: the load was not reached.

@@ -25,7 +25,16 @@ def supported(
     constraints: Sequence[sp.spmatrix],
     quadrature_degree: int | None,
 ) -> ExtractedSpline:
-    """The spline with its supports; the arguments are those of :class:`shnapr.shell.Shell`.
+    """The spline with its supports.
+
+    Args:
+        geometry: patches, or a spline that has its supports.
+        comm: where the spline lives.
+        clamped: names of edges whose position and tangent plane are held.
+        pinned: names of edges whose position is held.
+        zero_dofs: further coefficients that do not move.
+        constraints: linear constraints.
+        quadrature_degree: of every integral; None: twice the largest degree.
 
     Raises:
         ValueError: there is no such edge, or the geometry is a spline already and something else is given as well.
