@@ -7,9 +7,9 @@ import numpy as np
 from dolfinx import fem
 
 from tigar_x.compat import FloatArray
-from tigar_x.fem.nodal import wave_sums
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.ranks import first
+from tigar_x.run.nodal import wave_sums
 from tigar_x.run.restart import Integrators
 from tigar_x.splines.spline import ExtractedSpline
 

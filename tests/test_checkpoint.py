@@ -13,10 +13,10 @@ from dolfinx import fem, mesh
 from splines import WORLD, quarter
 
 from tigar_x import compat
-from tigar_x.fem.nodal import Nodes, difference, fingerprint
 from tigar_x.ranks import on_root
 from tigar_x.run import checkpoint
 from tigar_x.run.checkpoint import Checkpoints
+from tigar_x.run.nodal import Nodes, difference, fingerprint
 from tigar_x.splines.spline import ExtractedSpline
 
 SELF = MPI.COMM_SELF

@@ -12,9 +12,9 @@ from types import ModuleType
 from typing import NoReturn
 
 _ROOMS = {
-    "tigar_x.fem": "eigen kept line_search linear load_stepping low_rank newton nodal recipes rounding solve"
+    "tigar_x.fem": "eigen kept line_search linear load_stepping low_rank newton recipes rounding solve"
     " time_integration",
-    "tigar_x.run": "checkpoint output restart script vertex_values vtkhdf writing",
+    "tigar_x.run": "checkpoint nodal output restart script vertex_values vtkhdf writing",
     "tigar_x.geometry": "bspline files functions lines locate multipatch patch ribbon shapes surfaces",
     "tigar_x.splines": "constraints extraction measures projection quadrature saved space spline spline_system",
     "varmint.forms": "ale boundary motion solids space vms",

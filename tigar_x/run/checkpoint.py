@@ -18,8 +18,8 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import checks
-from tigar_x.fem.nodal import Layout, difference, fingerprint
 from tigar_x.ranks import on_root
+from tigar_x.run.nodal import Layout, difference, fingerprint
 from tigar_x.run.summary import plain
 from tigar_x.run.writing import replace_bytes
 

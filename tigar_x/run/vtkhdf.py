@@ -16,8 +16,8 @@ from dolfinx import mesh
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem.nodal import Nodes
 from tigar_x.ranks import gathered, on_root
+from tigar_x.run.nodal import Nodes
 from tigar_x.run.output import Series, is_later
 from tigar_x.run.vertex_values import Components, VertexValues
 from tigar_x.run.writing import replace_bytes

@@ -14,7 +14,7 @@ from dolfinx import fem
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
 from tigar_x.fem.line_search import LineSearch
-from tigar_x.fem.linear import LinearSolver, SolveError, automatic, chosen
+from tigar_x.fem.linear import LinearSolver, automatic, chosen
 from tigar_x.fem.schemes import Scheme, generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
 from varmint.conditions import Condition, Data
@@ -33,7 +33,8 @@ from varmint.flow.options import (
 from varmint.flow.pressure import by_null_space, pressure_pin
 from varmint.flow.start import consistent_start, set_state
 from varmint.flow.state import FlowState, Needs
-from varmint.flow.steady import continued
+from varmint.flow.steady import solve_steady
+from varmint.flow.step import take_step
 from varmint.flow.terms import Interior, Term, boundary_terms, strong_values, surface_scales
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
@@ -270,31 +271,10 @@ class Flow:
         if time.coupled:
             raise ValueError("the flow is coupled with a shell: take the steps of what couples them")
         check_clock(time, self.moving)
-        t, bring_back = float(time.t.value), self.system.remember_tangent()
-        try:
-            time.predict()
-            if self.moving is not None:
-                self.moving.time.predict()
-                self.moving.move()
-                self.moving.check()
-            for update in self.updates:
-                update(float(time.t_alpha.value))
-            self.system.apply_boundary_values()
-            done = self._newton(keep=self.options.keep)
-            if self._solid is not None and self.moving is not None:
-                self.moving.check()
-            measured = None if measure is None else measure()
-        except Exception as error:
-            bring_back()
-            for clock in (time, *(() if self.moving is None else (self.moving.time,))):
-                clock.restore()
-            if not isinstance(error, SolveError):
-                raise
-            raise FlowError(f"the step to t = {t:.6g} (dt = {time.step_size:.3g}) failed: {error}", t) from error
-        t_alpha, linear = float(time.t_alpha.value), sum(done.linear_iterations)
-        for integrator in (time,) if self.moving is None else (time, self.moving.time):
-            integrator.advance()
-        return FlowReport(time.time, done.norms, linear, done.tangents, measured, t_alpha)
+        return take_step(
+            self._state, time, self.system, lambda: self._newton(keep=self.options.keep), self.updates, measure,
+            has_solid=self._solid is not None,
+        )  # fmt: skip
 
     def run(self, *, halvings: int = 6, **options: Any) -> "Run":
         """A run of many steps, as an iterator of their reports.
@@ -330,18 +310,7 @@ class Flow:
         """
         if self.time is not None:
             raise ValueError(f"dt = {self.time.step_size!r}: a steady flow has none")
-        before, mu = self.w.x.array.copy(), float(self.mu.value)
-        self.system.apply_boundary_values()
-        try:
-            return continued(lambda: self._newton(line_search=LineSearch(), stalled=STALLED), self.w, self.mu)
-        except SolveError as error:
-            self.w.x.array[:] = before
-            raise FlowError(
-                f"no steady flow at mu = {mu:.3g}: {error}; refine the mesh, start from a similar flow, or step"
-                " through time"
-            ) from error
-        finally:
-            self.mu.value = mu
+        return solve_steady(self._state, self.system, lambda: self._newton(line_search=LineSearch(), stalled=STALLED))
 
     def _newton(self, **options: Any) -> NewtonReport:
         o, system = self.options, self.system

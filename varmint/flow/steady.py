@@ -6,14 +6,44 @@ from collections.abc import Callable
 from dolfinx import fem
 
 from tigar_x.fem.linear import SolveError
-from tigar_x.fem.solve import NewtonReport
-from varmint.flow.options import FlowReport
+from tigar_x.fem.solve import FiniteElementSystem, NewtonReport
+from varmint.flow.options import FlowError, FlowReport
+from varmint.flow.state import FlowState
 
 log = logging.getLogger(__name__)
 
 FACTOR, SMALLEST_FACTOR, HIGHEST_FACTOR = 4.0, 1.1, 1e9
 """Where Newton's method fails in steady flow: by which factor's square the viscosity is raised first, the smallest step
 down to go on with, and how far it is raised at most."""
+
+
+def solve_steady(state: FlowState, system: FiniteElementSystem, solve: Callable[[], NewtonReport]) -> FlowReport:
+    """Solve for the steady flow from the present state, at its viscosity or with others on the way.
+
+    Args:
+        state: of the flow.
+        system: its equations.
+        solve: see :func:`continued`.
+
+    Returns:
+        The report.
+
+    Raises:
+        FlowError: no steady flow was found; the state is that before.
+    """
+    constant = state.fields.mu
+    before, mu = state.w.x.array.copy(), float(constant.value)
+    system.apply_boundary_values()
+    try:
+        return continued(solve, state.w, constant)
+    except SolveError as error:
+        state.w.x.array[:] = before
+        raise FlowError(
+            f"no steady flow at mu = {mu:.3g}: {error}; refine the mesh, start from a similar flow, or step through"
+            " time"
+        ) from error
+    finally:
+        constant.value = mu
 
 
 def continued(solve: Callable[[], NewtonReport], w: fem.Function, mu: fem.Constant) -> FlowReport:
