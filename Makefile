@@ -30,13 +30,16 @@ export OMPI_ALLOW_RUN_AS_ROOT = 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-mpi test-trixie test-wheel lint bench docs clean distclean
+.PHONY: help setup check demo test test-slow test-mpi test-trixie test-wheel lint bench docs clean distclean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 setup: ## install Debian's packages and make .venv, whatever is missing of them
 	@$(SETUP)
+
+check: setup ## test the installation, in a minute, and say in words what is wrong if anything is
+	$(PYTHON) -m coudalfish check
 
 demo: setup ## run the fluid-membrane benchmark with its convergence table, a shell, a flow and valves, into results/
 	$(PYTHON) demos/manufactured.py --level 4 --overwrite --out results/manufactured

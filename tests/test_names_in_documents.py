@@ -4,7 +4,6 @@ import ast
 import importlib
 import inspect
 import re
-from contextlib import suppress
 
 import pytest
 from documents import DOCUMENTS, blocks, inline, prose
@@ -34,17 +33,19 @@ ELSEWHERE = {
 
 
 def resolved(dotted):
-    """The module, or what it holds, that a dotted name stands for; an old path raises."""
+    """The module, or what it holds, that a dotted name stands for."""
     parts = dotted.split(".")
     for i in range(len(parts), 0, -1):
-        with suppress(ImportError):
+        try:
             found = importlib.import_module(".".join(parts[:i]))
-            break
-    else:
-        raise ModuleNotFoundError(dotted)
-    for part in parts[i:]:
-        found = getattr(found, part)
-    return found
+        except ModuleNotFoundError as error:
+            if error.name and not ".".join(parts[:i]).startswith(error.name):
+                raise
+            continue
+        for part in parts[i:]:
+            found = getattr(found, part)
+        return found
+    raise ModuleNotFoundError(dotted)
 
 
 def module_of(path):

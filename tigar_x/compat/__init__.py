@@ -27,6 +27,7 @@ from tigar_x.compat.algebra import (
 from tigar_x.compat.forms import (
     C_FLAGS,
     CompiledForm,
+    cache_folder,
     compile_cpu_seconds,
     compile_forms,
     compile_seconds,
@@ -72,6 +73,7 @@ __all__ = [
     "IntArray",
     "C_FLAGS",
     "CompiledForm",
+    "cache_folder",
     "compiled_forms",
     "compile_cpu_seconds",
     "compile_forms",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import ufl
 import ufl.sorting
-from dolfinx import fem
+from dolfinx import fem, jit
 
 from tigar_x.compat.jit import safe_cache
 from tigar_x.compat.release import VERSION
@@ -87,6 +87,13 @@ JIT: dict[str, Any] = {
 }
 """Keyword argument of everything in dolfinx that compiles."""
 _compile_seconds = np.zeros(2)
+
+
+def cache_folder() -> Path:
+    """Folder in which compiled forms are kept; it need not be there yet."""
+    (given,) = JIT.values()
+    all_options: Any = getattr(jit, "get_parameters" if VERSION < (0, 9) else "get_options")
+    return Path(all_options(given)["cache_dir"])
 
 
 @dataclass(frozen=True)

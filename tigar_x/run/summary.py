@@ -48,9 +48,10 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """Containers of dataclasses and NumPy's arrays as JSON has them, what it has not as text.
+    """What JSON can hold, in place of dataclasses and NumPy's arrays; what it cannot is text.
 
-    None in a dataclass is left out.
+    Args:
+        value: anything, also in containers; None in a dataclass is left out.
     """
     if is_dataclass(value) and not isinstance(value, type):
         items = ((item.name, getattr(value, item.name)) for item in fields(value))  # a solver cannot be copied
