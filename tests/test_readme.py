@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from documents import DOCUMENTS, blocks
+from documents import DOCUMENTS, blocks, prose
 from on_disk import DEMOS, ROOT
 
 from tigar_x.compat.release import VERSION
@@ -43,13 +43,23 @@ def test_a_flow_drags_the_cylinder_along(tmp_path, monkeypatch):
     assert names["flow"].time.time == pytest.approx(1.0)
 
 
+def headings(document):
+    """Anchors of a document, as renderers of Markdown make them of its headings."""
+    lines = re.findall(r"^#+ (.*)$", prose(document), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", line.lower()).replace(" ", "-") for line in lines}
+
+
 def test_links_exist():
+    """Files, and headings in them."""
     assert len(DOCUMENTS) >= 6
     for document in DOCUMENTS:
-        prose = re.sub(r"```.*?```|`[^`]*`", "", document.read_text(), flags=re.DOTALL)
-        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose):
-            if not target.startswith("http"):
-                assert (document.parent / target).exists(), f"{document.name}: {target}"
+        text = re.sub(r"`[^`]*`", "", prose(document))
+        for target, anchor in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", text):
+            if target.startswith("http"):
+                continue
+            path = document.parent / target if target else document
+            assert path.exists(), f"{document.name}: {target}"
+            assert not anchor or anchor in headings(path), f"{document.name}: {target}#{anchor}"
 
 
 def test_targets_named_in_the_readme_exist():
