@@ -11,7 +11,7 @@ from scenes import sheet_in_flow
 
 from tigar_x.splines.spline_system import SplineSystem
 
-OPTIONAL = {"gmsh", "meshio", "matplotlib", "splipy", "h5py", "slepc4py"}
+OPTIONAL = {"gmsh", "meshio", "matplotlib", "pyvista", "splipy", "h5py", "slepc4py"}
 
 
 def modules_loaded_by(statement):

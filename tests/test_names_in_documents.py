@@ -4,6 +4,7 @@ import ast
 import importlib
 import inspect
 import re
+from contextlib import suppress
 
 import pytest
 from documents import DOCUMENTS, blocks, inline, prose
@@ -33,19 +34,17 @@ ELSEWHERE = {
 
 
 def resolved(dotted):
-    """The module, or what it holds, that a dotted name stands for."""
+    """The module, or what it holds, that a dotted name stands for; an old path raises."""
     parts = dotted.split(".")
     for i in range(len(parts), 0, -1):
-        try:
+        with suppress(ImportError):
             found = importlib.import_module(".".join(parts[:i]))
-        except ModuleNotFoundError as error:
-            if error.name and not ".".join(parts[:i]).startswith(error.name):
-                raise
-            continue
-        for part in parts[i:]:
-            found = getattr(found, part)
-        return found
-    raise ModuleNotFoundError(dotted)
+            break
+    else:
+        raise ModuleNotFoundError(dotted)
+    for part in parts[i:]:
+        found = getattr(found, part)
+    return found
 
 
 def module_of(path):

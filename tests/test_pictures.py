@@ -17,6 +17,7 @@ from tigar_x.run.history import History
 from tigar_x.run.pictures import Colours, animate
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.splines import sampling
+from tigar_x.splines.flow_pictures import flow_scene
 from tigar_x.splines.pictures import Surface, View, draw_shell, family, nice_length, scene, surfaces
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -286,6 +287,36 @@ def test_curves_under_load_have_one_scale_and_the_bar_of_their_load(tmp_path, sa
 
 def test_lengths_of_bars_are_round():
     assert [nice_length(most) for most in (0.3, 1.0, 4.99, 73.0, 0.0021)] == pytest.approx([0.2, 1.0, 2.0, 50.0, 0.002])
+
+
+# -- flows in space ---------------------------------------------------------------------------------------------------
+
+
+def swirl(domain):
+    """Velocity and pressure of a flow that turns about the third axis and rises along it."""
+    w = fem.Function(compat.lagrange_space(domain, 1, 4))
+    w.interpolate(lambda x: np.array([-x[1], x[0], 1.0 + 0.0 * x[0], x[2]]))
+    return w
+
+
+@pytest.mark.mpi
+def test_a_flow_in_space_says_that_pyvista_is_missing_on_all_ranks(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    w = swirl(mesh.create_box(COMM, [[-1.0] * 3, [1.0] * 3], [2, 2, 2]))
+    with pytest.raises(ImportError, match="flow_scene needs pyvista, which is not installed: pip install pyvista"):
+        flow_scene(w, colours=Colours("speed", "m/s"), length="m")
+    plane = fem.Function(compat.lagrange_space(mesh.create_unit_square(COMM, 2, 2), 1, 3))
+    with pytest.raises(ValueError, match="w lies in 2 dimensions"):
+        flow_scene(plane, colours=Colours("speed", "m/s"), length="m")
+
+
+def test_a_flow_in_space_with_a_shell_in_it(sheets, tmp_path, saved):
+    pytest.importorskip("pyvista")
+    w = swirl(mesh.create_box(MPI.COMM_SELF, [[-1.0] * 3, [1.0, 1.0, 2.0]], [4, 4, 4]))
+    shells, colours = surfaces(sampling.net(sheets, 3)), Colours("speed", "m/s")
+    draw(tmp_path / "flow.png", flow_scene(w, shells, colours=colours, length="m", level=1.2, pixels=120))
+    assert {"speed [m/s]", "0.5 m", "$x_3$"} <= set(texts(saved[0]))
+    assert saved[0].axes[0].images[0].get_array().std() > 10.0
 
 
 # -- animations, and what is loaded -----------------------------------------------------------------------------------

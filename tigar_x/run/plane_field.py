@@ -30,29 +30,12 @@ class PlaneField:
     """
 
     def __init__(self, function: fem.Function, displacement: fem.Function | None = None) -> None:
-        V = function.function_space
-        comm = V.mesh.comm
-        x = V.tabulate_dof_coordinates()
-        values = function.x.array.reshape(-1, V.dofmap.index_map_bs)
-        if displacement is not None:
-            d = V.mesh.geometry.dim
-            at_nodes = fem.Function(compat.lagrange_space(V.mesh, compat.lagrange_degree(V), d))
-            at_nodes.interpolate(displacement)
-            at_nodes.x.scatter_forward()
-            moved = np.zeros_like(x)
-            moved[compat.cell_dofs(V), :d] = at_nodes.x.array.reshape(-1, d)[compat.cell_dofs(at_nodes.function_space)]
-            x = x + moved
-        _, cells = compat.subcells(V)
-        counts = comm.allgather(len(x))
-        parts = comm.gather((x, values, cells + sum(counts[: comm.rank])))
-        self.x, self.values = np.zeros((0, 2)), np.zeros((0, values.shape[1]))
+        V, found = function.function_space, whole(function, displacement)
+        self.x, self.values = np.zeros((0, 2)), np.zeros((0, V.dofmap.index_map_bs))
         self.triangles = np.zeros((0, 3), dtype=int)
-        if parts is None:
+        if found is None:
             return
-        nodes, self.values, cells = (np.concatenate([part[i] for part in parts]) for i in range(3))
-        # nodes of several ranks are one
-        _, first, number = np.unique(np.round(nodes / np.ptp(nodes), 9), axis=0, return_index=True, return_inverse=True)
-        nodes, self.values, cells = nodes[first], self.values[first], number.reshape(-1)[cells]
+        nodes, self.values, cells = found
         self.x = nodes[:, :2]
         if V.mesh.geometry.dim == 2:
             self.triangles = cells if cells.shape[1] == 3 else np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])
@@ -143,3 +126,39 @@ class PlaneField:
     def speed(self, unit: str, *, length: str, **more: Any) -> Panel:
         """Panel of the length of the first two components, in a unit, see :meth:`panel`."""
         return self.panel((self.values[:, :2] ** 2).sum(axis=1) ** 0.5, Colours("speed", unit), length=length, **more)
+
+
+def whole(
+    function: fem.Function, displacement: fem.Function | None = None
+) -> tuple[FloatArray, FloatArray, Any] | None:
+    """Nodal values of a field on linear cells (collective).
+
+    Args:
+        function: in a scalar or blocked Lagrange space.
+        displacement: of the mesh; None: none.
+
+    Returns:
+        On rank 0 present positions, shape (nodes, 3), values, shape (nodes, components), and the nodes of the cells,
+        see :func:`tigar_x.compat.subcells`; None elsewhere.
+    """
+    V = function.function_space
+    comm = V.mesh.comm
+    x = V.tabulate_dof_coordinates()
+    values = function.x.array.reshape(-1, V.dofmap.index_map_bs)
+    if displacement is not None:
+        d = V.mesh.geometry.dim
+        at_nodes = fem.Function(compat.lagrange_space(V.mesh, compat.lagrange_degree(V), d))
+        at_nodes.interpolate(displacement)
+        at_nodes.x.scatter_forward()
+        moved = np.zeros_like(x)
+        moved[compat.cell_dofs(V), :d] = at_nodes.x.array.reshape(-1, d)[compat.cell_dofs(at_nodes.function_space)]
+        x = x + moved
+    _, cells = compat.subcells(V)
+    counts = comm.allgather(len(x))
+    parts = comm.gather((x, values, cells + sum(counts[: comm.rank])))
+    if parts is None:
+        return None
+    nodes, values, cells = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    # nodes of several ranks are one
+    _, first, number = np.unique(np.round(nodes / np.ptp(nodes), 9), axis=0, return_index=True, return_inverse=True)
+    return nodes[first], values[first], number.reshape(-1)[cells]

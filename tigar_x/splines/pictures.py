@@ -163,7 +163,7 @@ def scene(
         scale = colours.mappable(values) if colours is not None and fields else None
         corners = np.concatenate(_draw_polygons(axes, shown, segments, view, scale))
         room = corners if box is None else view.seen(_box_corners(box))[:, :2]
-        _frame(axes, room.min(axis=0), room.max(axis=0), view, length)
+        frame(axes, room.min(axis=0), room.max(axis=0), view, length)
         if bar and colours is not None and fields:
             colours.bar(axes, values)
         axes.set_title(title)
@@ -224,8 +224,16 @@ def _box_corners(box: ArrayLike) -> FloatArray:
     return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _frame(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str) -> None:
-    """Room for the picture, a bar of length below it on the right, and the directions of the axes on the left."""
+def frame(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str) -> None:
+    """Make room for a picture, a bar of length below it on the right, and the directions of the axes on the left.
+
+    Args:
+        axes: of matplotlib.
+        low: lower left corner of what is seen, shape (2,); unit: length.
+        high: upper right corner.
+        view: from where it is seen.
+        length: unit of length.
+    """
     width, height = np.maximum(high - low, 1e-3 * float((high - low).max() or 1.0))
     extent = max(width, height)
     margin, below = 0.03 * extent, 0.16 * extent
@@ -239,7 +247,7 @@ def _frame(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str
     text.set_gid(SCALE)
     start, reach = np.array([low[0] + 0.5 * below, low[1] - 0.6 * below]), 0.4 * below
     for i, direction in enumerate(view.axes[:2].T):
-        if np.linalg.norm(direction) < 0.1:
+        if np.linalg.norm(direction) < 0.25:
             continue  # along the line of sight
         tip = start + reach * direction
         axes.annotate("", tip, start, arrowprops={"arrowstyle": "->", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0})
