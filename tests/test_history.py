@@ -83,6 +83,16 @@ def test_the_mean_over_whole_cycles_is_that_of_the_sine(count):
     assert len(course.last_cycles(17, MEAN)) == len(course)
 
 
+def test_cycles_are_those_of_the_late_level_and_peaks_those_above_the_middle():
+    """What rings about a level after it came down from another one; ripples below are no peaks."""
+    t = np.linspace(0.0, 9.9, 4001)
+    settled = Course(t, np.where(t < 5.0, 9.0, np.sin(OMEGA * t)))
+    assert len(settled.cycles()) == len(settled.between(5.0).cycles(0.0)) == 7
+    rippled = Course(t, np.sin(2 * np.pi * 0.5 * t) + 0.2 * np.sin(2 * np.pi * 4.5 * t))
+    assert rippled.peaks.y.min() > rippled.middle > rippled.troughs.y.max()
+    assert len(rippled.peaks) < np.count_nonzero(np.diff(np.sign(np.diff(rippled.y))) < 0)
+
+
 def test_without_oscillation_there_is_no_frequency():
     rising = Course(np.arange(5.0), np.arange(5.0))
     assert np.isnan(rising.frequency())
@@ -232,6 +242,11 @@ def test_a_history_that_goes_on_has_the_rows_until_then(folder):
     assert path.read_bytes() == (folder / "whole.csv").read_bytes()
     assert (recorded(path, [], after=0.2).rows == whole.rows[:2]).all()
     assert (recorded(None, times).rows == whole.rows).all()
+
+
+@pytest.mark.mpi
+def test_all_ranks_keep_what_the_first_one_measured():
+    assert recorded(None, [1.0], columns={"rank": lambda: WORLD.rank})["rank"] == [0.0]
 
 
 def test_a_history_that_goes_on_has_the_same_columns(tmp_path):

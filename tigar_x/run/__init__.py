@@ -1,4 +1,4 @@
-"""Runs: command lines, progress, costs and summaries, output, checkpoints, studies of convergence."""
+"""Runs: loops over steps, histories, checkpoints, output, pictures, command lines, summaries and studies."""
 
 from tigar_x.front import modules_of
 
