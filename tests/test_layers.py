@@ -68,7 +68,7 @@ MODULE_LINES, FUNCTION_LINES = 350, 60
 """How long a module may be, and a function without its signature and docstring."""
 LONGER: dict[str, str] = {}
 """What may be longer, "path" or "path:function", and why."""
-HEAVY = ("gmsh", "meshio", "matplotlib", "pyvista", "splipy", "h5py", "slepc4py", "pyvista")
+HEAVY = ("gmsh", "meshio", "matplotlib", "pyvista", "splipy", "h5py", "slepc4py")
 
 
 def name_of(path: Path) -> str:

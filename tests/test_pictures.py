@@ -264,12 +264,22 @@ def test_values_need_a_scale_of_colours_and_nets_lie_in_space(sheets, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_box_keeps_the_frame_still(sheets, tmp_path, saved):
+def test_a_box_keeps_the_frame_still_and_cuts_nothing_off(sheets, tmp_path, saved):
     for factor in (1.0, 0.3):
         shown = [Surface.of_net(factor * x) for x in sampling.net(sheets, 2).reference]
         draw(tmp_path / "frame.png", scene(shown, length="m", box=[[-1, -1, 0], [1, 1, 1]]))
-    first, second = ((one.axes[0].get_xlim(), one.axes[0].get_ylim()) for one in saved)
+    draw(
+        tmp_path / "frame.png",
+        scene(
+            [Surface.of_net(2.0 * sampling.net(sheets, 2, patch=0).reference)],
+            length="m",
+            box=[[-1, -1, 0], [1, 1, 1]],
+            view=View(90.0, -90.0),
+        ),
+    )
+    first, second = ((one.axes[0].get_xlim(), one.axes[0].get_ylim()) for one in saved[:2])
     assert first == second
+    assert saved[2].axes[0].get_xlim() == pytest.approx((-2.12, 2.12))  # nothing is cut off
 
 
 def test_curves_under_load_have_one_scale_and_the_bar_of_their_load(tmp_path, saved):

@@ -142,8 +142,8 @@ def scene(
         view: from where.
         colours: of the fields; None: no surface has values.
         lines: points of lines in space, shape (m, 3) each; unit: length.
-        box: lowest and highest corner of what the picture has room for, shape (2, 3), so that those of a movie agree;
-            None: all that is drawn.
+        box: lowest and highest corner of what the picture has room for besides all that is drawn, shape (2, 3), so
+            that those of a movie agree; None: nothing.
         bar: whether to draw the bar of colours, where there are values.
         title: above.
 
@@ -162,7 +162,7 @@ def scene(
     def panel(axes: Any) -> None:
         scale = colours.mappable(values) if colours is not None and fields else None
         corners = np.concatenate(_draw_polygons(axes, shown, segments, view, scale))
-        room = corners if box is None else view.seen(_box_corners(box))[:, :2]
+        room = corners if box is None else np.concatenate([corners, view.seen(_box_corners(box))[:, :2]])
         frame(axes, room.min(axis=0), room.max(axis=0), view, length)
         if bar and colours is not None and fields:
             colours.bar(axes, values)
@@ -246,12 +246,17 @@ def frame(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str)
     text = axes.text(right - bar / 2, y - 0.08 * below, f"{bar:g} {length}", ha="center", va="top", fontsize="small")
     text.set_gid(SCALE)
     start, reach = np.array([low[0] + 0.5 * below, low[1] - 0.6 * below]), 0.4 * below
-    for i, direction in enumerate(view.axes[:2].T):
-        if np.linalg.norm(direction) < 0.25:
+    directions = view.axes[:2].T
+    for i, direction in enumerate(directions):
+        seen = float(np.linalg.norm(direction))
+        if seen < 0.25:
             continue  # along the line of sight
         tip = start + reach * direction
         axes.annotate("", tip, start, arrowprops={"arrowstyle": "->", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0})
-        axes.text(*(start + 1.45 * reach * direction), f"$x_{i + 1}$", ha="center", va="center", fontsize="x-small")
+        beside = np.array([-direction[1], direction[0]])
+        beside *= -np.sign(beside @ (directions.sum(axis=0) - direction)) or 1.0
+        place = tip + 0.45 * reach * (direction if seen > 0.6 else beside) / seen  # a short one may lie along another
+        axes.text(*place, f"$x_{i + 1}$", ha="center", va="center", fontsize="x-small")
 
 
 def nice_length(most: float) -> float:
