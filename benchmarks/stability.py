@@ -85,7 +85,7 @@ def flow(
         pins: strong conditions, from the space.
         grad_div: coefficient of the grad-div stabilisation of Taylor-Hood elements; None: equal orders with VMS.
     """
-    V = equal_order_space(domain) if grad_div is None else compat.mixed_space(domain, (2, 2), (1, 1))
+    V = equal_order_space(domain) if grad_div is None else compat.mixed_lagrange_space(domain, (2, 2), (1, 1))
     w = fem.Function(V, name="w")
     for i, value in enumerate(velocity):
         w.x.array[compat.component_space(V, i)[1]] = value

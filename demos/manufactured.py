@@ -27,7 +27,6 @@ from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, StepReport,
 from coudalfish.problems.manufactured import (
     DOI,
     PUBLISHED_CODE,
-    Data,
     cells_per_side,
     errors,
     exact_flow,
@@ -35,6 +34,9 @@ from coudalfish.problems.manufactured import (
     on_extrusion_ends,
     on_sides,
     square,
+)
+from coudalfish.problems.manufactured import (
+    ProblemData as Data,
 )
 from coudalfish.restart import CoupledState
 from tigar_x import checks, compat

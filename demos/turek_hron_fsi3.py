@@ -34,7 +34,7 @@ from tigar_x.run.writing import claim
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.forms.motion import ElasticMotion
-from varmint.forms.solids import Solid, StVenantKirchhoff
+from varmint.forms.solids import Solid, StVenantKirchhoffSolid
 from varmint.mesh.models import channel_with_cylinder
 from varmint.quantities import BoundaryForce, NodalField, vorticity
 
@@ -88,7 +88,7 @@ def build(
         dt=dt,
         scheme=integration,
         moving=moving,
-        solid=Solid(StVenantKirchhoff(youngs_modulus, POISSON_RATIO, RHO)),
+        solid=Solid(StVenantKirchhoffSolid(youngs_modulus, POISSON_RATIO, RHO)),
         options=FlowOptions(**({"rtol": 1e-5, "solver": direct()} | options)),
     )
 

@@ -7,7 +7,7 @@ In statics the time is the load factor, which goes from 0 to 1 as the shell is l
 with it in proportion. A callable says itself how it depends on it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,17 +15,15 @@ import ufl
 
 from shnapr import loads
 from tigar_x import checks, compat
+from tigar_x.compat import Data
 from tigar_x.splines.measures import SideMeasure
 from tigar_x.splines.spline import ExtractedSpline
 
-__all__ = ["Damping", "DeadLoad", "EdgeForce", "EdgeMoment", "Fields", "Gravity", "Load", "Pressure"]
-
-Data = Callable[[Any, Any], Any] | Sequence[Any] | Any
-"""Scalar, or vector of shape (nsd,), see the module."""
+__all__ = ["Damping", "DeadLoad", "EdgeForce", "EdgeMoment", "Gravity", "Load", "Pressure", "ShellFields"]
 
 
 @dataclass(frozen=True)
-class Fields:
+class ShellFields:
     """What loads see of a shell.
 
     Attributes:
@@ -111,7 +109,7 @@ class Fields:
 class Load(Protocol):
     """What a shell asks of a load; those of users need no more."""
 
-    def term(self, fields: Fields) -> ufl.Form | None:
+    def term(self, fields: ShellFields) -> ufl.Form | None:
         """Residual form; None: there is none in statics."""
 
 
@@ -125,7 +123,7 @@ class DeadLoad:
 
     force: Data
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: ShellFields) -> ufl.Form:
         """See :class:`Load`."""
         return loads.dead_load(fields.spline, fields.vector("DeadLoad.force", self.force), fields.z)
 
@@ -140,7 +138,7 @@ class Gravity:
 
     acceleration: Data
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: ShellFields) -> ufl.Form:
         """See :class:`Load`."""
         g = fields.vector("Gravity.acceleration", self.acceleration)
         return loads.gravity(fields.spline, g, fields.z, **fields.mass("Gravity"))
@@ -156,7 +154,7 @@ class Pressure:
 
     value: Data
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: ShellFields) -> ufl.Form:
         """See :class:`Load`."""
         pressure = fields.scalar("Pressure.value", self.value, follows=True)
         return loads.follower_pressure(fields.spline, pressure, fields.y, fields.z)
@@ -176,7 +174,7 @@ class EdgeForce:
     force: Data
     patch: int | None = None
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: ShellFields) -> ufl.Form:
         """See :class:`Load`."""
         force = fields.vector(f"EdgeForce({self.on!r}).force", self.force)
         return loads.edge_traction(fields.spline, force, fields.z, fields.ds(self.on, self.patch))
@@ -197,7 +195,7 @@ class EdgeMoment:
     moment: Data
     patch: int | None = None
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: ShellFields) -> ufl.Form:
         """See :class:`Load`."""
         moment = fields.scalar(f"EdgeMoment({self.on!r}).moment", self.moment, follows=True)
         return loads.edge_moment(fields.spline, moment, fields.y, fields.z, fields.ds(self.on, self.patch))
@@ -213,7 +211,7 @@ class Damping:
 
     coefficient: Any
 
-    def term(self, fields: Fields) -> ufl.Form | None:
+    def term(self, fields: ShellFields) -> ufl.Form | None:
         """See :class:`Load`."""
         mass = fields.mass("Damping")
         if fields.v is None:

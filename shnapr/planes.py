@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from shnapr.conditions import Fields
+from shnapr.conditions import ShellFields
 from shnapr.kinematics import midsurface
 from tigar_x import checks
 from tigar_x.splines.spline import ExtractedSpline
@@ -49,7 +49,7 @@ class RigidPlane:
         plain = isinstance(self.smoothing, numbers.Real)
         checks.parameter("smoothing", self.smoothing, checks.not_negative if plain else checks.positive)
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: ShellFields) -> ufl.Form:
         """See :class:`shnapr.conditions.Load`; a plane is as stiff under any load factor."""
         return plane_contact(fields.spline, self, fields.y, fields.z)
 

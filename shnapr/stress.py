@@ -13,10 +13,13 @@ import ufl
 from shnapr.kinematics import Midsurface, dual_frame, frame, layer_metric, midsurface
 from shnapr.work import Material, conjugates
 from tigar_x import checks
+from tigar_x.moved import guide
 from tigar_x.splines.spline import ExtractedSpline
 
+__getattr__ = guide(__name__)
 
-class Solid(Protocol):
+
+class MaterialAtPoint(Protocol):
     """What the stress at a point needs to know of a material; the strain is that of the tangent plane, shape (2, 2)."""
 
     @property
@@ -98,7 +101,7 @@ def _shear(spline: ExtractedSpline, m: Any, current: Midsurface) -> Any:
     return divergence + dual.T * bent
 
 
-def second_piola(spline: ExtractedSpline, material: Solid, y: Any, level: Any) -> Any:
+def second_piola(spline: ExtractedSpline, material: MaterialAtPoint, y: Any, level: Any) -> Any:
     """Second Piola-Kirchhoff stress in the local Cartesian frame of the reference configuration.
 
     Args:
@@ -117,7 +120,7 @@ def second_piola(spline: ExtractedSpline, material: Solid, y: Any, level: Any) -
     return _leading(point.second_piola, spline.dim)
 
 
-def cauchy(spline: ExtractedSpline, material: Solid, y: Any, level: Any) -> Any:
+def cauchy(spline: ExtractedSpline, material: MaterialAtPoint, y: Any, level: Any) -> Any:
     """Cauchy stress in the local Cartesian frame of the current configuration.
 
     Base vectors at the point have the metrics a - 2 zeta b, and the normal stretch is the one of zero normal stress.
@@ -137,7 +140,7 @@ def cauchy(spline: ExtractedSpline, material: Solid, y: Any, level: Any) -> Any:
     return _leading(_Point(spline, material, y, level).cauchy, spline.dim)
 
 
-def von_mises(spline: ExtractedSpline, material: Solid, y: Any, level: Any) -> Any:
+def von_mises(spline: ExtractedSpline, material: MaterialAtPoint, y: Any, level: Any) -> Any:
     """Von Mises's equivalent of the Cauchy stress, without transverse shear.
 
     In the plane it contains the stress along the generator, which keeps its length.
@@ -171,7 +174,7 @@ class _Point:
         cauchy: sigma in the frame of the current configuration, shape (2, 2).
     """
 
-    def __init__(self, spline: ExtractedSpline, material: Solid, y: Any, level: Any) -> None:
+    def __init__(self, spline: ExtractedSpline, material: MaterialAtPoint, y: Any, level: Any) -> None:
         checks.parameter("level", level, lambda name, value: checks.within(name, value, -1.0, 1.0))
         zeta = level * material.thickness / 2
         reference, current = midsurface(spline), midsurface(spline, spline.rationalize(y))

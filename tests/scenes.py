@@ -65,7 +65,7 @@ def sheet_in_flow(
     """
     L = length
     domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.zeros(2), np.full(2, L)], [n, n], mesh.CellType.triangle)
-    V = compat.mixed_space(domain, (2, 2), (1, 1)) if taylor_hood else equal_order_space(domain)
+    V = compat.mixed_lagrange_space(domain, (2, 2), (1, 1)) if taylor_hood else equal_order_space(domain)
     w = fem.Function(V, name="w")
     if moving:
         for i, value in enumerate(velocity):

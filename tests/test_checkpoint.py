@@ -40,7 +40,7 @@ def cube(comm=WORLD):
 SPACES = {
     "scalar": lambda comm: compat.lagrange_space(square(comm), 1),
     "blocked": lambda comm: compat.lagrange_space(square(comm), 2, 3),
-    "mixed": lambda comm: compat.mixed_space(square(comm), (2, 2), (1, 1)),
+    "mixed": lambda comm: compat.mixed_lagrange_space(square(comm), (2, 2), (1, 1)),
     "solid": lambda comm: compat.lagrange_space(cube(comm), 2, 3),
     "shell": lambda comm: ExtractedSpline(quarter([(1.0, 0.0), (1.0, 0.5), (1.0, 2.0)]), comm).V,
 }

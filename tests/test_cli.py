@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from coudalfish.cli import check, demos, environment, problems
 from coudalfish.cli.main import main
-from coudalfish.cli.verdict import Check, FaultError, Outcome, RemarkError, judged, tried
+from coudalfish.cli.verdict import Check, FaultError, Finding, RemarkError, examined, judged
 from coudalfish.surface.trace import TraceMatrix
 from shnapr import loads
 from tigar_x import compat
@@ -139,12 +139,12 @@ def failing(error):
     ],
 )
 def test_what_comes_of_a_check(work, status, text):
-    outcome = tried(Check("it", work))
+    outcome = examined(Check("it", work))
     assert (outcome.status, outcome.text) == (status, text)
     assert bool(outcome.advice) == (status == "WRONG")
-    later = tried(Check("more", lambda: "done", ("it",)), [outcome])
+    later = examined(Check("more", lambda: "done", ("it",)), [outcome])
     assert later.status == ("-" if status == "WRONG" else "ok")
-    assert tried(Check("most", lambda: "done", ("more",)), [later]).status == later.status
+    assert examined(Check("most", lambda: "done", ("more",)), [later]).status == later.status
 
 
 def test_the_verdict_in_words_and_as_a_status(capsys):
@@ -161,9 +161,9 @@ def test_the_verdict_in_words_and_as_a_status(capsys):
 @pytest.mark.mpi
 def test_a_check_is_as_good_as_on_the_worst_rank():
     rank, last = MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size - 1
-    assert tried(Check("one", lambda: f"found on {rank}")) == Outcome("one", "ok", "found on 0")
-    worst = tried(Check("two", failing(FaultError("broken", "")) if rank == last else lambda: "fine"))
-    assert worst == Outcome("two", "WRONG", "broken")
+    assert examined(Check("one", lambda: f"found on {rank}")) == Finding("one", "ok", "found on 0")
+    worst = examined(Check("two", failing(FaultError("broken", "")) if rank == last else lambda: "fine"))
+    assert worst == Finding("two", "WRONG", "broken")
 
 
 # -- the self-test ----------------------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ def test_a_check_is_as_good_as_on_the_worst_rank():
 
 @pytest.mark.parametrize("name", [name for name in CHECKS if name != "more packages"])
 def test_all_is_well_here(name):
-    outcome = tried(CHECKS[name])
+    outcome = examined(CHECKS[name])
     assert outcome.status == "ok", outcome
     assert outcome.text
 
@@ -290,7 +290,7 @@ def other_ranks(patch, folder):
 )
 def test_what_is_wrong_is_said_with_advice(name, harm, text, advice, monkeypatch, tmp_path):
     harm(monkeypatch, tmp_path)
-    outcome = tried(CHECKS[name])
+    outcome = examined(CHECKS[name])
     assert outcome.status == "WRONG"
     assert text in outcome.text
     assert advice in outcome.advice
@@ -298,11 +298,11 @@ def test_what_is_wrong_is_said_with_advice(name, harm, text, advice, monkeypatch
 
 def test_what_not_everybody_needs_is_a_note(monkeypatch):
     monkeypatch.setitem(sys.modules, "gmsh", None)
-    outcome = tried(CHECKS["more packages"])
+    outcome = examined(CHECKS["more packages"])
     assert outcome.status == "note"
     assert "gmsh is not there: meshes from geometry" in outcome.text
     monkeypatch.setattr(problems.shutil, "which", lambda *_, **__: None)
-    assert tried(CHECKS["two ranks"]).text == "mpirun is not there: runs use one processor"
+    assert examined(CHECKS["two ranks"]).text == "mpirun is not there: runs use one processor"
 
 
 def test_with_a_package_missing_the_check_ends_soon_and_with_an_error(monkeypatch, capsys):

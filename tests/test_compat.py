@@ -264,7 +264,11 @@ def test_forms_that_were_compiled():
 def test_components_where_a_rank_has_no_cell(name, monkeypatch):
     """Numbered by hand there: the same nodes as dolfinx has."""
     domain = grid("triangle")
-    V = compat.lagrange_space(domain, 2, 3) if name == "blocked" else compat.mixed_space(domain, (2, 2), (1, 1))
+    V = (
+        compat.lagrange_space(domain, 2, 3)
+        if name == "blocked"
+        else compat.mixed_lagrange_space(domain, (2, 2), (1, 1))
+    )
     for component in range(3):
         expected, parent = compat.component_space(V, component)
         with monkeypatch.context() as patch:

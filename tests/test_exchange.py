@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from coudalfish.surface import exchange
-from coudalfish.surface.monitors import measure
+from coudalfish.surface.monitors import monitors_of
 
 RNG = np.random.default_rng(0)
 POINTS, NODES, BETA = 30, 12, 3.7
@@ -24,9 +24,9 @@ def test_action_equals_reaction(arrays):
     B, n, W, u, y_dot, lam = arrays
     F = exchange.point_forces(u, y_dot, lam, n, W, penalty=BETA)
     np.testing.assert_allclose((B.T @ F).sum(axis=0), F.sum(axis=0), rtol=1e-13)
-    figures = measure(u - y_dot, n, W, F, -(B.T @ F).sum(axis=0), F.sum(axis=0))
+    figures = monitors_of(u - y_dot, n, W, F, -(B.T @ F).sum(axis=0), F.sum(axis=0))
     assert figures.force_imbalance < 1e-14
-    assert measure(u - y_dot, n, W, F, 0.9 * -F.sum(axis=0), F.sum(axis=0)).force_imbalance > 1e-3
+    assert monitors_of(u - y_dot, n, W, F, 0.9 * -F.sum(axis=0), F.sum(axis=0)).force_imbalance > 1e-3
 
 
 def test_forces_by_hand():
@@ -186,7 +186,7 @@ def test_points_of_no_patch_and_patches_without_area(arrays, patches):
 def test_slip_is_averaged_over_the_area():
     """Along the normal; a point of no area, as one outside the fluid, has no slip."""
     slip, n = np.array([[0.0, 5.0], [2.0, 7.0], [9.0, 0.0]]), np.array([[1.0, 0.0]] * 3)
-    figures = measure(slip, n, np.array([1.0, 3.0, 0.0]), np.zeros((3, 2)), np.zeros(2), np.zeros(2))
+    figures = monitors_of(slip, n, np.array([1.0, 3.0, 0.0]), np.zeros((3, 2)), np.zeros(2), np.zeros(2))
     assert figures.normal_slip_rms == pytest.approx(np.sqrt(3.0))
     assert figures.normal_slip_max == 2.0
     assert figures.leak == 3.0 * 2.0

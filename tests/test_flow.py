@@ -21,7 +21,7 @@ from varmint.flow import Flow, FlowError, FlowOptions
 from varmint.flow.pressure import pressure_pin
 from varmint.forms import ale
 from varmint.forms.motion import ElasticMotion, MeshInversionError, PrescribedMotion
-from varmint.forms.solids import Solid, StVenantKirchhoff
+from varmint.forms.solids import Solid, StVenantKirchhoffSolid
 from varmint.mesh import box, named
 from varmint.quantities import Measured, flow_rate, volume
 
@@ -846,8 +846,8 @@ WALLS = [Velocity(SIDES)]
         (dict(f=(1.0, 2.0, 3.0)), r"^f has shape \(3,\): shape \(2,\)"),
         (dict(f=(1.0, np.nan)), r"^f\[1\] = nan: a finite number"),
         (dict(f=lambda x, t: x[0]), r"^f has shape \(\): shape \(2,\)"),
-        (dict(solid=Solid(StVenantKirchhoff(1.0, 0.3, 1.0))), r"^dt = None: a time step is required"),
-        (dict(dt=0.1, solid=Solid(StVenantKirchhoff(1.0, 0.3, 1.0))), r"^moving = None: a solid .* ElasticMotion"),
+        (dict(solid=Solid(StVenantKirchhoffSolid(1.0, 0.3, 1.0))), r"^dt = None: a time step is required"),
+        (dict(dt=0.1, solid=Solid(StVenantKirchhoffSolid(1.0, 0.3, 1.0))), r"^moving = None: a solid .* ElasticMotion"),
     ],
 )
 def test_bad_input(change, message):

@@ -14,9 +14,9 @@ from varmint.mesh import NamedMesh, box, grid, named
 from varmint.mesh import elements as mesh_elements
 from varmint.mesh import files as mesh_files
 from varmint.mesh.arrays import checked, distributed, from_arrays
-from varmint.mesh.checks import FACETS, MeshArrays, checked_arrays, extruded
+from varmint.mesh.checks import FACETS, MeshArrays, checked_arrays, extruded_arrays
 from varmint.mesh.elements import Block, Elements
-from varmint.mesh.files import read
+from varmint.mesh.files import read_mesh
 from varmint.mesh.models import channel_with_cylinder, from_gmsh
 from varmint.mesh.named import CELLS
 
@@ -459,7 +459,7 @@ def test_a_facet_twice_in_a_group_counts_once():
 @pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
 def test_plane_cells_are_extruded_with_their_groups(kind):
     plane = some_arrays(kind)
-    m = distributed(COMM, lambda: extruded(checked_arrays(plane), 0.5, 3))
+    m = distributed(COMM, lambda: extruded_arrays(checked_arrays(plane), 0.5, 3))
     sizes = {name: size / 2.0 for name, size in (side_sizes(2) | {"middle": SIZES[1]}).items()}
     assert facet_contents(m) == pytest.approx(sizes | {"back": 3.0, "front": 3.0})
     assert cell_contents(m) == pytest.approx({"low": 0.75, "high": 0.75})
@@ -467,7 +467,7 @@ def test_plane_cells_are_extruded_with_their_groups(kind):
     assert np.array_equal(np.flatnonzero(x < 1.0), m.cells("low"))
     assert compat.cell_name(m.domain) == {"triangle": "tetrahedron", "quadrilateral": "hexahedron"}[kind]
     with pytest.raises(ValueError, match="cell of arrays = 'tetrahedron': one of 'triangle', 'quadrilateral' is req"):
-        extruded(some_arrays("tetrahedron"), 1.0, 1)
+        extruded_arrays(some_arrays("tetrahedron"), 1.0, 1)
 
 
 @pytest.mark.mpi
@@ -623,7 +623,7 @@ def test_a_msh_file_is_read_with_its_names(tmp_path, kind, version):
         written(path, elements(kind, labels), file_format=version, binary=dim == 3)
     else:
         on_root(COMM, lambda: path.write_text(msh41(elements(kind, labels))))
-    m = read(COMM, path, names={"floor": 3})
+    m = read_mesh(COMM, path, names={"floor": 3})
     area = np.prod(SIZES[:dim])
     wanted = dict(zip(("in flow", "outlet", "floor", "4", "5", "6"), side_sizes(dim).values(), strict=False))
     assert facet_contents(m) == pytest.approx(wanted)
@@ -668,7 +668,7 @@ def test_xdmf_files_of_cells_and_of_facets_are_joined(tmp_path, kind, data):
     rows = len(turned) - 1 - found.blocks[0].vertices
     facets = Elements("", turned, [Block(found.blocks[0].kind, rows, found.blocks[0].numbers)])
     sides = written(folder / "facets.xdmf", facets, data=data, data_format="XML")
-    m = read(COMM, cells, facets_path=str(sides), names={"inlet": 1})
+    m = read_mesh(COMM, cells, facets_path=str(sides), names={"inlet": 1})
     area = np.prod(SIZES[:dim])
     wanted = dict(zip(("inlet", "2", "3", "4", "5", "6"), side_sizes(dim).values(), strict=False))
     assert facet_contents(m) == pytest.approx(wanted)
@@ -680,7 +680,7 @@ def test_xdmf_files_of_cells_and_of_facets_are_joined(tmp_path, kind, data):
 def test_one_xdmf_file_has_cells_and_facets(tmp_path, kind):
     pytest.importorskip("meshio")
     found = elements(kind)
-    m = read(COMM, written(shared_path(tmp_path) / "mesh.xdmf", Elements("", found.points, found.blocks[:2])))
+    m = read_mesh(COMM, written(shared_path(tmp_path) / "mesh.xdmf", Elements("", found.points, found.blocks[:2])))
     area = np.prod(SIZES[: found.blocks[1].dimension])
     assert list(facet_contents(m).values()) == pytest.approx(list(side_sizes(found.blocks[1].dimension).values()))
     assert cell_contents(m) == pytest.approx({"1": area / 2.0, "2": area / 2.0})
@@ -690,7 +690,7 @@ def test_an_xdmf_file_without_numbers_has_no_groups(tmp_path):
     meshio = pytest.importorskip("meshio")
     blocks = [("triangle", np.array([[0, 1, 2], [1, 2, 3]]))]
     meshio.Mesh(SQUARE, blocks, cell_data={"quality": [np.ones(2)]}).write(tmp_path / "plain.xdmf", data_format="XML")
-    m = read(MPI.COMM_SELF, tmp_path / "plain.xdmf")
+    m = read_mesh(MPI.COMM_SELF, tmp_path / "plain.xdmf")
     assert (m.facet_names, m.cell_names, m.facet_tags, m.cell_tags) == ((), (), None, None)
     assert m.domain.topology.index_map(0).size_global == 4
 
@@ -718,7 +718,7 @@ def test_files_that_are_no_meshes_are_refused_on_all_ranks(tmp_path, name, text,
     if text is not None:
         on_root(COMM, lambda: path.write_text(text))
     with pytest.raises(error, match=message):
-        read(COMM, path)
+        read_mesh(COMM, path)
 
 
 def test_files_of_facets_that_do_not_fit_are_refused(tmp_path):
@@ -726,16 +726,16 @@ def test_files_of_facets_that_do_not_fit_are_refused(tmp_path):
     found = elements("triangle")
     cells = written(tmp_path / "cells.xdmf", Elements("", found.points, [found.blocks[1]]))
     with pytest.raises(ValueError, match=r"cells.xdmf has no elements of dimension 1: facets of the mesh are required"):
-        read(MPI.COMM_SELF, cells, facets_path=cells)
+        read_mesh(MPI.COMM_SELF, cells, facets_path=cells)
     with pytest.raises(ValueError, match=r"suffix of '.*' = '.geo': one of '.msh', '.xdmf' is required"):
-        read(MPI.COMM_SELF, cells, facets_path=tmp_path / "facets.geo")
+        read_mesh(MPI.COMM_SELF, cells, facets_path=tmp_path / "facets.geo")
     with pytest.raises(FileNotFoundError, match=r"facets.msh: there is no such file"):
-        read(MPI.COMM_SELF, cells, facets_path=tmp_path / "facets.msh")
+        read_mesh(MPI.COMM_SELF, cells, facets_path=tmp_path / "facets.msh")
     moved = written(tmp_path / "facets.xdmf", Elements("", found.points + 1e-3, [found.blocks[0]]))
     with pytest.raises(
         ValueError, match=r"facets.xdmf has a facet with a vertex at \[.*\]: a vertex of .*cells.xdmf is req"
     ):
-        read(MPI.COMM_SELF, cells, facets_path=moved)
+        read_mesh(MPI.COMM_SELF, cells, facets_path=moved)
 
 
 def test_data_that_could_be_groups_must_be_one(tmp_path):
@@ -746,7 +746,7 @@ def test_data_that_could_be_groups_must_be_one(tmp_path):
     with pytest.raises(
         ValueError, match=r"two.xdmf has several integer cell data, 'a', 'b': one, or one named 'gmsh:phy"
     ):
-        read(MPI.COMM_SELF, tmp_path / "two.xdmf")
+        read_mesh(MPI.COMM_SELF, tmp_path / "two.xdmf")
 
 
 # -- gmsh -------------------------------------------------------------------------------------------------------------
@@ -830,7 +830,7 @@ def test_files_of_gmsh_are_read_as_its_models_are(tmp_path, kind, version):
 
     m = from_gmsh(COMM, build, dim)
     COMM.barrier()
-    again = read(COMM, path)
+    again = read_mesh(COMM, path)
     assert facet_contents(again) == pytest.approx(facet_contents(m))
     assert cell_contents(again) == pytest.approx(cell_contents(m))
     assert again.inner_facet_names == m.inner_facet_names
@@ -854,7 +854,7 @@ def test_a_geo_file_is_meshed(tmp_path):
     pytest.importorskip("gmsh")
     path = shared_path(tmp_path) / "scene.geo"
     on_root(COMM, lambda: path.write_text(GEO))
-    m = read(COMM, path)
+    m = read_mesh(COMM, path)
     around = 2.0 * np.pi * 0.2
     assert facet_contents(m)["hole"] == pytest.approx(around, rel=0.03)
     assert cell_contents(m)["fluid"] == pytest.approx(2.0 - np.pi * 0.04, rel=0.01)
@@ -877,7 +877,7 @@ def test_a_bad_geo_file_is_refused_on_all_ranks(tmp_path, text, message):
     path = shared_path(tmp_path) / "bad.geo"
     on_root(COMM, lambda: path.write_text(text))
     with pytest.raises(ValueError, match=message):
-        read(COMM, path)
+        read_mesh(COMM, path)
 
 
 @pytest.mark.mpi

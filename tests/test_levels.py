@@ -17,7 +17,7 @@ from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowOptions
 from varmint.flow.attachments import ROUNDED
 from varmint.forms.motion import ElasticMotion
-from varmint.forms.solids import Solid, StVenantKirchhoff, mesh_residual, solid_residual
+from varmint.forms.solids import Solid, StVenantKirchhoffSolid, mesh_residual, solid_residual
 from varmint.mesh import box, named
 
 COMM = MPI.COMM_SELF
@@ -196,7 +196,7 @@ def test_the_rate_of_a_consistent_start_keeps_the_volume_of_the_fluid_whatever_t
     )
     if with_solid:
         moving = ElasticMotion(mesh, dict.fromkeys(("left", "rest")), dt, scheme, cells=("fluid",))
-        solid = {"moving": moving, "solid": Solid(StVenantKirchhoff(100.0, 0.3, 2.0))}
+        solid = {"moving": moving, "solid": Solid(StVenantKirchhoffSolid(100.0, 0.3, 2.0))}
     flow = Flow(
         mesh, [Velocity("left"), Traction("rest")], rho=1.0, mu=0.1, dt=dt, scheme=scheme, f=(0.7, 0.3), **solid
     )
@@ -234,7 +234,7 @@ def test_a_solid_resists_its_acceleration_and_carries_its_weight_with_its_densit
     mesh = box(COMM, (0.0, 0.0), (1.0, 0.5), (2, 2))
     V = compat.lagrange_space(mesh.domain, 1, 2)
     u, (a, f) = fem.Function(V), (fem.Constant(mesh.domain, value) for value in ((2.0, 3.0), (0.5, 7.0)))
-    form = solid_residual(StVenantKirchhoff(1.0, 0.3, 2.5), u, a, ufl.TestFunction(V), mesh.dx(degree=2), f=f)
+    form = solid_residual(StVenantKirchhoffSolid(1.0, 0.3, 2.5), u, a, ufl.TestFunction(V), mesh.dx(degree=2), f=f)
     system = FiniteElementSystem(form, u)
     system.assemble_residual()
     np.testing.assert_allclose(
@@ -261,7 +261,7 @@ def test_a_solid_in_a_flow_is_strained_at_the_level_of_its_equations():
         dt=dt,
         scheme=scheme,
         moving=moving,
-        solid=Solid(StVenantKirchhoff(100.0, 0.3, 1e-12)),
+        solid=Solid(StVenantKirchhoffSolid(100.0, 0.3, 1e-12)),
     )
     A = np.array([[0.5, 0.8], [-0.3, 0.2]])
     flow.time.predict()
@@ -277,7 +277,7 @@ def test_a_solid_in_a_flow_is_strained_at_the_level_of_its_equations():
     system.assemble_residual()
     virial = system.b.array_r.reshape(-1, 3)[:, :2].T @ x
     F = np.eye(2) + scheme.alpha_f * gradient
-    P = StVenantKirchhoff(100.0, 0.3, 1.0).first_piola_kirchhoff(ufl.as_matrix(F.tolist()))
+    P = StVenantKirchhoffSolid(100.0, 0.3, 1.0).first_piola_kirchhoff(ufl.as_matrix(F.tolist()))
     expected = 0.5 * np.array([[float(P[i, j](())) for j in range(2)] for i in range(2)])
     np.testing.assert_allclose(virial, expected, rtol=1e-9, atol=1e-10)
     # a velocity of the resolution, over its share, displaces a node by the edge of a cell at the level

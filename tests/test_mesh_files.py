@@ -9,7 +9,7 @@ from dolfinx import io, mesh
 
 from tigar_x import compat
 from tigar_x.run.output import on_root
-from varmint.mesh.files import read
+from varmint.mesh.files import read_mesh
 from varmint.mesh.models import from_gmsh
 
 COMM = MPI.COMM_WORLD
@@ -75,7 +75,7 @@ WAYS = [
 @pytest.mark.mpi
 @pytest.mark.parametrize("way", WAYS, ids=str)
 def test_groups_are_kept_however_gmsh_saves_them(tmp_path, way):
-    m = read(COMM, square(shared_path(tmp_path) / "square.msh", PLAIN, **way))
+    m = read_mesh(COMM, square(shared_path(tmp_path) / "square.msh", PLAIN, **way))
     assert lengths(m) == {"inlet": 2, "walls": 4}
     assert counts(m) == {"fluid": COMM.allreduce(compat.owned_cells(m.domain))}
 
@@ -84,7 +84,7 @@ def test_groups_are_kept_however_gmsh_saves_them(tmp_path, way):
 @pytest.mark.parametrize("version", [2.2, 4.1])
 def test_a_name_may_be_that_of_a_group_of_cells_and_of_facets(tmp_path, version):
     groups = [(1, 1, "fluid", [1, 2]), (1, 2, "rest", [3, 4]), (2, 2, "fluid", [1])]
-    m = read(COMM, square(shared_path(tmp_path) / "square.msh", groups, version=version))
+    m = read_mesh(COMM, square(shared_path(tmp_path) / "square.msh", groups, version=version))
     assert lengths(m) == {"fluid": 4, "rest": 4}
     assert list(counts(m)) == ["fluid"]
 
@@ -96,13 +96,13 @@ def test_an_entity_in_two_groups_is_refused_whether_these_have_names_or_not(tmp_
     path = square(tmp_path / "square.msh", groups, version=version)
     first, second = (name or str(i) for i, name in enumerate(names, 1))
     with pytest.raises(ValueError, match=f"groups '?{first}'? and '?{second}'?: one at most is required; a condition"):
-        read(MPI.COMM_SELF, path)
+        read_mesh(MPI.COMM_SELF, path)
 
 
 def test_a_surface_in_two_groups_of_version_2_is_named(tmp_path):
     path = square(tmp_path / "square.msh", [(2, 1, "fluid", [1]), (2, 2, None, [1])], version=2.2)
     with pytest.raises(ValueError, match=r"square.msh has cells in groups 'fluid' and '2': one at most is required"):
-        read(MPI.COMM_SELF, path)
+        read_mesh(MPI.COMM_SELF, path)
 
 
 @pytest.mark.parametrize("version", [2.2, 4.1])
@@ -112,8 +112,8 @@ def test_two_groups_of_one_name_are_refused(tmp_path, version):
     with pytest.raises(
         ValueError, match=r"groups 3 and 4 of .*square.msh are both 'inlet': two names are required, in"
     ):
-        read(MPI.COMM_SELF, path)
-    assert list(lengths(read(MPI.COMM_SELF, path, names={"walls": 4}))) == ["inlet", "walls"]
+        read_mesh(MPI.COMM_SELF, path)
+    assert list(lengths(read_mesh(MPI.COMM_SELF, path, names={"walls": 4}))) == ["inlet", "walls"]
 
 
 def test_groups_that_gmsh_left_out_of_version_2_are_missed(tmp_path):
@@ -121,7 +121,7 @@ def test_groups_that_gmsh_left_out_of_version_2_are_missed(tmp_path):
     with pytest.raises(
         ValueError, match=r"has the names 'inlet', 'walls', 'fluid' and no .*: with Mesh.SaveAll = 1 gmsh"
     ):
-        read(MPI.COMM_SELF, path)
+        read_mesh(MPI.COMM_SELF, path)
 
 
 def test_elements_of_one_entity_may_be_of_several_groups_in_version_2(tmp_path):
@@ -133,7 +133,7 @@ def test_elements_of_one_entity_may_be_of_several_groups_in_version_2(tmp_path):
         words = text[i].split()
         text[i] = " ".join([*words[:4], "1", *words[5:]])
     path.write_text("\n".join(text) + "\n")
-    assert lengths(read(MPI.COMM_SELF, path)) == {"inlet": 2, "walls": 4}
+    assert lengths(read_mesh(MPI.COMM_SELF, path)) == {"inlet": 2, "walls": 4}
 
 
 def two_squares(gmsh):
@@ -168,7 +168,7 @@ def test_a_facet_beside_cells_in_no_group_is_told_with_its_cause(tmp_path, versi
     with pytest.raises(LookupError, match="written"):
         from_gmsh(MPI.COMM_SELF, build, 2)
     with pytest.raises(ValueError, match="two.msh has " + cause):
-        read(MPI.COMM_SELF, tmp_path / "two.msh")
+        read_mesh(MPI.COMM_SELF, tmp_path / "two.msh")
 
 
 def test_volumes_in_no_group_are_missed(tmp_path):
@@ -187,7 +187,7 @@ def test_volumes_in_no_group_are_missed(tmp_path):
     with pytest.raises(
         ValueError, match=r"box.msh has no cell in any volume: .* a physical group of the volumes is req"
     ):
-        read(MPI.COMM_SELF, path)
+        read_mesh(MPI.COMM_SELF, path)
 
 
 # -- files of dolfinx --------------------------------------------------------------------------------------------------
@@ -221,7 +221,7 @@ def of_dolfinx(path, kind, *, twice=False):
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
 def test_a_file_of_dolfinx_is_read_with_its_tags(tmp_path, kind):
-    m = read(COMM, of_dolfinx(shared_path(tmp_path) / "mesh.xdmf", kind), names={"inlet": 7})
+    m = read_mesh(COMM, of_dolfinx(shared_path(tmp_path) / "mesh.xdmf", kind), names={"inlet": 7})
     sides = {"triangle": 3, "quadrilateral": 3, "tetrahedron": 12, "hexahedron": 6}[kind]
     assert lengths(m) == {"inlet": sides}
     assert counts(m) == {"2": {"triangle": 12, "quadrilateral": 6, "tetrahedron": 72, "hexahedron": 12}[kind]}
@@ -234,7 +234,7 @@ def test_a_file_of_dolfinx_is_read_with_its_tags(tmp_path, kind):
 def test_several_tags_of_facets_are_refused(tmp_path):
     path = of_dolfinx(shared_path(tmp_path) / "mesh.xdmf", "triangle", twice=True)
     with pytest.raises(ValueError, match=r"mesh.xdmf has several tags of facets, 'sides', 'again': one of them is"):
-        read(COMM, path)
+        read_mesh(COMM, path)
 
 
 # -- numbers of other types, and files that are none -------------------------------------------------------------------
@@ -248,18 +248,18 @@ def plain_xdmf(path, name, values):
 
 
 def test_whole_floats_are_numbers_of_groups_under_a_known_name(tmp_path):
-    m = read(MPI.COMM_SELF, plain_xdmf(tmp_path / "float.xdmf", "gmsh:physical", [1.0, 2.0]))
+    m = read_mesh(MPI.COMM_SELF, plain_xdmf(tmp_path / "float.xdmf", "gmsh:physical", [1.0, 2.0]))
     assert counts(m) == {"1": 1, "2": 1}
     path = plain_xdmf(tmp_path / "part.xdmf", "gmsh:physical", [1.0, 2.5])
     with pytest.raises(
         ValueError, match=r"part.xdmf has cell data 'gmsh:physical' that are not whole: numbers of groups"
     ):
-        read(MPI.COMM_SELF, path)
+        read_mesh(MPI.COMM_SELF, path)
 
 
 def test_data_that_give_no_groups_are_told(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "varmint"):
-        m = read(MPI.COMM_SELF, plain_xdmf(tmp_path / "float.xdmf", "tags", [1.0, 2.0]))
+        m = read_mesh(MPI.COMM_SELF, plain_xdmf(tmp_path / "float.xdmf", "tags", [1.0, 2.0]))
     assert m.cell_names == ()
     assert "cell data 'tags' are no groups: integers, or the name 'gmsh:physical', are required" in caplog.text
 
@@ -314,4 +314,4 @@ def test_an_empty_or_foreign_file_is_named_with_what_it_is(tmp_path, name, conte
     path = shared_path(tmp_path) / name
     on_root(COMM, lambda: path.write_bytes(content))
     with pytest.raises(ValueError, match=message):
-        read(COMM, path)
+        read_mesh(COMM, path)

@@ -5,7 +5,7 @@ from mpi4py import MPI
 
 from tigar_x import compat
 from tigar_x.run.output import on_root
-from varmint.mesh.files import read
+from varmint.mesh.files import read_mesh
 from varmint.mesh.scripts import HARMFUL, HARMLESS, plain_script
 
 COMM = MPI.COMM_WORLD
@@ -81,7 +81,7 @@ def test_a_script_that_makes_a_mesh_runs(tmp_path, text):
     pytest.importorskip("gmsh")
     path = shared_path(tmp_path) / "scene.geo"
     on_root(COMM, lambda: path.write_text(text))
-    m = read(COMM, path)
+    m = read_mesh(COMM, path)
     assert COMM.allreduce(compat.owned_cells(m.domain)) > 4
     assert len(m.cell_names) == 1
     assert m.cell_names[0] in ("inside no", "fluid", "all")
@@ -154,7 +154,7 @@ def test_a_script_that_does_something_else_is_refused(tmp_path, attack, before):
     path = tmp_path / "scene.geo"
     path.write_text(line + "\n" + SQUARE if before else SQUARE + line + "\n", newline="")
     with pytest.raises(ValueError, match=r"scene.geo, line \d+: .*; trust_script = True runs a script whatever"):
-        read(MPI.COMM_SELF, path)
+        read_mesh(MPI.COMM_SELF, path)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["other.geo", "scene.geo"]
 
 
@@ -163,8 +163,8 @@ def test_a_trusted_script_does_what_it_says(tmp_path):
     path, here = tmp_path / "scene.geo", tmp_path / "here"
     path.write_text(SQUARE + f'Printf("a") > "{here}";\nSystemCall "touch {here}2";\n')
     with pytest.raises(ValueError, match=r"line 5: Printf\(\.\.\.\) that goes elsewhere"):
-        read(MPI.COMM_SELF, path)
-    assert read(MPI.COMM_SELF, path, trust_script=True).cell_names == ("fluid",)
+        read_mesh(MPI.COMM_SELF, path)
+    assert read_mesh(MPI.COMM_SELF, path, trust_script=True).cell_names == ("fluid",)
     assert here.exists()
     assert (tmp_path / "here2").exists()
 
@@ -186,7 +186,7 @@ def test_a_file_beside_is_not_run(tmp_path, kind):
         gmsh.write(str(path))
         gmsh.finalize()
     path.with_name(f"{path.name}.opt").write_text(f'SystemCall "touch {here}";')
-    assert COMM.size > 1 or compat.owned_cells(read(MPI.COMM_SELF, path).domain) > 2
+    assert COMM.size > 1 or compat.owned_cells(read_mesh(MPI.COMM_SELF, path).domain) > 2
     assert not here.exists()
 
 
@@ -201,7 +201,7 @@ def test_a_script_by_another_name_is_not_run(tmp_path, name):
     ):
         (tmp_path / name).write_text(text)
         with pytest.raises(ValueError, match="cannot be read as"):
-            read(MPI.COMM_SELF, tmp_path / name)
+            read_mesh(MPI.COMM_SELF, tmp_path / name)
     assert not here.exists()
 
 

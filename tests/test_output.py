@@ -66,7 +66,11 @@ def test_xdmf_has_the_vertex_values(cell, kind, folder):
         domain = mesh.create_unit_square(WORLD, 3, 2, getattr(mesh.CellType, cell))
     else:
         domain = mesh.create_unit_cube(WORLD, 2, 2, 1, getattr(mesh.CellType, cell))
-    space = compat.lagrange_space(domain, 2, 3) if kind == "blocked" else compat.mixed_space(domain, (2, 2), (1, 1))
+    space = (
+        compat.lagrange_space(domain, 2, 3)
+        if kind == "blocked"
+        else compat.mixed_lagrange_space(domain, (2, 2), (1, 1))
+    )
     w = fem.Function(space)
     fields = [lambda x: x[0] + 3 * x[1] ** 2 - x[2], lambda x: 10 + x[1] * x[0], lambda x: 20 - x[1] + 5 * x[2]]
     path = folder / "flow.xdmf"

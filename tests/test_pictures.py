@@ -12,7 +12,7 @@ from mpi_runs import outside
 from tigar_x import compat
 from tigar_x.geometry import shapes
 from tigar_x.geometry.multipatch import disjoint
-from tigar_x.run.figure import draw, label, lines, over_time
+from tigar_x.run.figure import axis_label, draw, lines, over_time
 from tigar_x.run.history import History
 from tigar_x.run.pictures import Colours, animate
 from tigar_x.run.plane_field import PlaneField
@@ -58,7 +58,7 @@ def texts(drawn):
 @pytest.mark.parametrize(("what", "unit"), [("", "s"), ("time", ""), ("time", " "), (None, "s"), ("time", None)])
 def test_a_label_needs_a_name_and_a_unit(what, unit):
     with pytest.raises(ValueError, match="a text is required"):
-        label(what, unit)
+        axis_label(what, unit)
     with pytest.raises(ValueError, match="a text is required"):
         Colours(what, unit)
     with pytest.raises(ValueError, match="a text is required"):

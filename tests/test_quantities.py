@@ -11,7 +11,7 @@ from tigar_x.fem.schemes import backward_euler, generalized_alpha
 from varmint.conditions import Slip, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowOptions
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
-from varmint.forms.solids import Solid, StVenantKirchhoff
+from varmint.forms.solids import Solid, StVenantKirchhoffSolid
 from varmint.mesh import box, grid, named
 from varmint.mesh.arrays import from_arrays
 from varmint.quantities import (
@@ -342,7 +342,7 @@ def beam():
     depth = Traction("right", lambda x, t: ufl.as_vector([RHO * 2e-3 * (x[1] - 0.5), 0 * x[0]]))
     flow = Flow(
         mesh, [Velocity("walls", (0.0, 0.0)), depth], rho=RHO, mu=MU, dt=20.0, scheme=euler, f=(0.0, -2e-3),
-        moving=moving, solid=Solid(StVenantKirchhoff(1e3, 0.3, 1.0)), options=FlowOptions(rtol=1e-8),
+        moving=moving, solid=Solid(StVenantKirchhoffSolid(1e3, 0.3, 1.0)), options=FlowOptions(rtol=1e-8),
     )  # fmt: skip
     return flow, mesh
 

@@ -14,7 +14,7 @@ from tigar_x.fem import rounding
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.schemes import backward_euler
 from tigar_x.fem.solve import newton
-from varmint.forms.solids import NeoHookean
+from varmint.forms.solids import NeoHookeanSolid
 
 
 @pytest.mark.mpi
@@ -66,7 +66,7 @@ def test_what_counts_as_stagnation(norms, lengths, expected):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("gravity", [1e-3, 1.5e-3, 1.9e-3])
-@pytest.mark.parametrize("material", [SOFT, NeoHookean(100.0, 0.3, 1.0)], ids=["svk", "neo-hookean"])
+@pytest.mark.parametrize("material", [SOFT, NeoHookeanSolid(100.0, 0.3, 1.0)], ids=["svk", "neo-hookean"])
 def test_a_solid_comes_to_rest_under_any_load(material, gravity, monkeypatch):
     """Strains are rounded relative to one, so its stiffness limits the residual, however small load and motion are."""
     static = static_deflection(material)

@@ -15,14 +15,14 @@ from tigar_x.fem.solve import FiniteElementSystem, newton
 from varmint.conditions import Traction, Velocity
 from varmint.flow import Flow, FlowError, FlowOptions
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
-from varmint.forms.solids import NeoHookean, Solid, StVenantKirchhoff, mesh_residual, solid_residual
+from varmint.forms.solids import NeoHookeanSolid, Solid, StVenantKirchhoffSolid, mesh_residual, solid_residual
 from varmint.mesh import box, named
 from varmint.quantities import Measured, volume
 
 COMM = MPI.COMM_WORLD
 E_MODULUS, NU, RHO = 7.0, 0.3, 2.0
 LAME = E_MODULUS * NU / ((1 + NU) * (1 - 2 * NU)), E_MODULUS / (2 * (1 + NU))
-MATERIALS = [StVenantKirchhoff(E_MODULUS, NU, RHO), NeoHookean(E_MODULUS, NU, RHO)]
+MATERIALS = [StVenantKirchhoffSolid(E_MODULUS, NU, RHO), NeoHookeanSolid(E_MODULUS, NU, RHO)]
 KINDS = pytest.mark.parametrize("material", MATERIALS, ids=["svk", "neo-hookean"])
 DIMENSIONS = pytest.mark.parametrize("d", [2, 3])
 
@@ -35,7 +35,7 @@ def energy(material, F):
     lam, mu = LAME
     C = F.T * F
     d = F.ufl_shape[0]
-    if isinstance(material, StVenantKirchhoff):
+    if isinstance(material, StVenantKirchhoffSolid):
         strain = (C - ufl.Identity(d)) / 2
         return lam / 2 * ufl.tr(strain) ** 2 + mu * ufl.inner(strain, strain)
     J = ufl.det(F)
@@ -128,7 +128,7 @@ def test_small_strains_obey_hookes_law(material, d):
         np.testing.assert_allclose(stress(np.eye(3) + 1e-7 * e) / 1e-7, np.diag([E_MODULUS, 0, 0]), atol=1e-5)
 
 
-@pytest.mark.parametrize("make", [StVenantKirchhoff, NeoHookean])
+@pytest.mark.parametrize("make", [StVenantKirchhoffSolid, NeoHookeanSolid])
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -177,7 +177,7 @@ def test_the_fictitious_solid_of_a_mesh(d):
 # -- a solid in a flow ------------------------------------------------------------------------------------------------
 
 LENGTH, THICKNESS, GRAVITY = 1.0, 0.2, 2e-3
-SOFT = StVenantKirchhoff(100.0, 0.3, 1.0)
+SOFT = StVenantKirchhoffSolid(100.0, 0.3, 1.0)
 
 
 @cache
@@ -249,7 +249,7 @@ def static_deflection(material):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("material", [SOFT, NeoHookean(100.0, 0.3, 1.0)], ids=["svk", "neo-hookean"])
+@pytest.mark.parametrize("material", [SOFT, NeoHookeanSolid(100.0, 0.3, 1.0)], ids=["svk", "neo-hookean"])
 def test_a_beam_under_its_weight_comes_to_its_static_deflection(material):
     """In a fluid that weighs nothing; backward Euler with large steps damps what oscillates."""
     flow = beam_flow(20.0, backward_euler(), material=material)
@@ -360,7 +360,7 @@ def test_a_solid_that_is_compressible_determines_the_pressure():
 @pytest.mark.parametrize("scheme", [backward_euler(), generalized_alpha(0.5)], ids=["euler", "alpha"])
 def test_a_heavy_fluid_around_a_light_solid_is_stable(scheme):
     """A hundred times as heavy: what lets schemes diverge that solve for one after the other."""
-    light = StVenantKirchhoff(100.0, 0.3, 0.01)
+    light = StVenantKirchhoffSolid(100.0, 0.3, 0.01)
 
     def push(x, t):
         return ufl.as_vector([0.0 * x[0], 2e-3 * ufl.sin(40 * t) * x[0]])

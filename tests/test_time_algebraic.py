@@ -17,7 +17,7 @@ NUMBER, TRIPLE = (compat.lagrange_space(CELL, 0, size) for size in (1, 3))
 
 def spaces():
     domain = mesh.create_unit_square(MPI.COMM_WORLD, 3, 3)
-    return [compat.lagrange_space(domain, 1, 3), compat.mixed_space(domain, (2, 2), (1, 1))]
+    return [compat.lagrange_space(domain, 1, 3), compat.mixed_lagrange_space(domain, (2, 2), (1, 1))]
 
 
 def random_function(space, seed):

@@ -22,7 +22,7 @@ from coudalfish import (
     StepError,
 )
 from coudalfish.surface.exchange import VertexMeans
-from coudalfish.surface.slip import WINDOW, Slip, SlipWindow
+from coudalfish.surface.slip import WINDOW, RelativeSlip, SlipWindow
 from shnapr.loads import inertia
 from tigar_x.fem.linear import direct
 from tigar_x.fem.schemes import generalized_alpha
@@ -168,7 +168,7 @@ def test_slip_is_averaged_over_the_surface_and_the_steps():
     for k in range(WINDOW):
         assert window.slip is None
         now = window.add(slip, n, W, 10.0 if k % 2 else 0.0)
-        assert now == (Slip(0.15, 0.2) if k % 2 else None)
+        assert now == (RelativeSlip(0.15, 0.2) if k % 2 else None)
     speed = 10.0 / math.sqrt(2.0)
     assert window.slip.normal == pytest.approx(1.5 / speed)
     assert window.slip.tangential == pytest.approx(2.0 / speed)

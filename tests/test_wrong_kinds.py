@@ -268,7 +268,7 @@ CASES = {
     ),
     "VMS": (lambda **g: on_fluid(interior_residual, **g), dict(degree=("whole", 1), C_t=("scalar", 4.0), **FLUID)),
     "solid": (
-        solids.StVenantKirchhoff,
+        solids.StVenantKirchhoffSolid,
         dict(youngs_modulus=("scalar", 1.0), poisson_ratio=("scalar", 0.3), density=("scalar", 1.0)),
     ),
     "flow": (flow, dict(degree=("whole", 1), **FLUID)),
@@ -371,7 +371,7 @@ def test_terms_of_a_flow_take_measures_of_their_mesh_alone():
         for wrong in (ufl.dx, ufl.dS, ufl.ds(domain=other), s.spline.ds("u1"), s.mesh.ds, None):
             with pytest.raises(ValueError, match=r"^ds .*required"):
                 form(wrong)
-    material = solids.NeoHookean(1.0, 0.3, 1.0)
+    material = solids.NeoHookeanSolid(1.0, 0.3, 1.0)
     for form in (
         lambda dx: on_fluid(interior_residual, rho=1.0, mu=1.0, dx=dx),
         lambda dx: solids.solid_residual(material, s.v, s.v, s.w, dx),

@@ -52,6 +52,10 @@ MODULES |= {
 }
 
 _NAMES = {
+    ("tigar_x.compat", "tigar_x.compat"): "mixed_space=mixed_lagrange_space",
+    ("tigar_x.compat.release", "tigar_x.compat.release"): "table=as_table",
+    ("tigar_x.compat.spaces", "tigar_x.compat.spaces"): "mixed_space=mixed_lagrange_space",
+    ("tigar_x.extraction", "tigar_x.splines.extraction"): "lagrange_degree=element_degree",
     ("tigar_x.multipatch", "tigar_x.geometry.gluing"): "ALL glued",
     ("tigar_x.output", "tigar_x.splines.vtu"): "VTUSeries",
     ("tigar_x.patch", "tigar_x.geometry.net"): "ControlNet",
@@ -62,14 +66,27 @@ _NAMES = {
     ("tigar_x.time_integration", "tigar_x.fem.schemes"): "Scheme backward_euler companion generalized_alpha",
     ("tigar_x.writing", "tigar_x.ranks"): "P PATIENCE all_come gathered on_root portable root_only together tried",
     ("varmint.attachments", "varmint.flow.pressure"): "NEAR pressure_pin",
-    ("varmint.attachments", "varmint.flow.state"): "FlowTime Needs",
+    ("varmint.attachments", "varmint.flow.state"): "FlowTime Needs=FlowNeeds",
     ("varmint.conditions", "tigar_x.compat"): "given",
+    ("varmint.conditions", "varmint.conditions"): "Fields=FlowFields",
+    ("varmint.mesh_checks", "varmint.mesh.checks"): "extruded=extruded_arrays",
+    ("varmint.mesh_files", "varmint.mesh.files"): "read=read_mesh",
+    ("varmint.solids", "varmint.forms.solids"): "Material=SolidMaterial NeoHookean=NeoHookeanSolid"
+    " StVenantKirchhoff=StVenantKirchhoffSolid",
+    ("shnapr.stress", "shnapr.stress"): "Solid=MaterialAtPoint",
+    ("coudalfish.mesh_motion", "coudalfish.sides.mesh_motion"): "MeshMotion=MovingMesh",
+    ("coudalfish.monitors", "coudalfish.surface.monitors"): "measure=monitors_of",
+    ("coudalfish.slip", "coudalfish.surface.slip"): "Slip=RelativeSlip",
     ("coudalfish.coupler", "coudalfish.intervals"): "advance",
     ("coudalfish.subproblems", "coudalfish.sides.shell"): "ROUNDING ShellSubproblem",
 }
 
-NAMES = {f"{old}.{name}": f"{new}.{name}" for (old, new), names in _NAMES.items() for name in names.split()}
-"""Names of today by their old paths, where they are not in the module that the rest of theirs is in."""
+NAMES = {
+    f"{old}.{name.partition('=')[0]}": f"{new}.{name.rpartition('=')[2]}"
+    for (old, new), names in _NAMES.items()
+    for name in names.split()
+}
+"""Names of today by their old paths, where they are called otherwise, or not in the module of the rest of theirs."""
 
 WITHDRAWN = {"varmint.start": "project varies"}
 """Names that no module offers now, by their old modules."""
@@ -118,6 +135,11 @@ class Guide(MetaPathFinder):
     def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> None:
         """Find nothing.
 
+        Args:
+            fullname: path of a module that nobody has found.
+            path: where to look.
+            target: module that is loaded again.
+
         Raises:
             ImportError: the path is an old one.
         """
@@ -146,7 +168,7 @@ def _words(path: str) -> str | None:
     besides = ", ".join(f"{', '.join(names)} in {there}" for there, names in elsewhere.items())
     gone = ", ".join(WITHDRAWN.get(path, "").split())
     return (
-        f"{path} has moved to {new}"
+        f"{path} is now {new}"
         + (f"; of its names, {besides}" if besides else "")
         + (f"; no longer public: {gone}" if gone else "")
     )

@@ -5,7 +5,7 @@ UFL. A callable gets the time that its condition needs: the end of the step wher
 level of the equations elsewhere.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import ufl
 from mpi4py import MPI
 
 from tigar_x import checks, compat
-from tigar_x.compat import IntArray
+from tigar_x.compat import Data, IntArray
 from tigar_x.moved import guide
 from varmint.forms import ale, boundary
 from varmint.forms.ale import Motion
@@ -22,12 +22,9 @@ from varmint.mesh.named import NamedMesh
 
 __getattr__ = guide(__name__)
 
-Data = Callable[[Any, Any], Any] | Sequence[Any] | Any
-"""Vector of shape (d,), see the module."""
-
 
 @dataclass(frozen=True)
-class Fields:
+class FlowFields:
     """What conditions see of a flow.
 
     Attributes:
@@ -130,14 +127,14 @@ class Condition:
         """Names of the facet groups."""
         return _groups(self.on)
 
-    def is_open(self, fields: Fields) -> bool:
+    def is_open(self, fields: FlowFields) -> bool:
         """Whether fluid may pass without a prescribed velocity, so that the pressure's constant is determined."""
         return False
 
-    def term(self, fields: Fields) -> ufl.Form | None:
+    def term(self, fields: FlowFields) -> ufl.Form | None:
         """Residual form; None: the condition is strong alone."""
 
-    def strong(self, fields: Fields) -> "list[Prescribed]":
+    def strong(self, fields: FlowFields) -> "list[Prescribed]":
         """Values at nodes at the end of the step; empty: the condition is weak."""
         return []
 
@@ -158,7 +155,7 @@ class Velocity(Condition):
     value: Data = None
     components: Sequence[int] | None = None
 
-    def is_open(self, fields: Fields) -> bool:
+    def is_open(self, fields: FlowFields) -> bool:
         """See :class:`Condition`; without all components the one normal to the facets decides."""
         if self.components is None or set(self.components) == set(range(fields.d)):
             return False
@@ -166,7 +163,7 @@ class Velocity(Condition):
         free = axes is None or bool((~np.isin(axes, list(self.components))).any())
         return bool(fields.mesh.domain.comm.allreduce(free, op=MPI.LOR))
 
-    def strong(self, fields: Fields) -> list[Prescribed]:
+    def strong(self, fields: FlowFields) -> list[Prescribed]:
         """See :class:`Condition`."""
         if self.value is None:
             value = fields.mesh_velocity(end=True)
@@ -194,7 +191,7 @@ class WeakVelocity(Condition):
     symmetric: bool = True
     penalty: Any = None
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: FlowFields) -> ufl.Form:
         """See :class:`Condition`."""
         f = fields
         value = f.mesh_velocity() if self.value is None else f.vector(self._name("value"), self.value)
@@ -221,12 +218,12 @@ class Slip(Condition):
     strong_if_moving: bool = False
     penalty: Any = 1e3
 
-    def _is_strong(self, fields: Fields) -> bool:
+    def _is_strong(self, fields: FlowFields) -> bool:
         if fields.motion is not None and not self.strong_if_moving:
             return False
         return _axes(fields.mesh, self.groups) is not None
 
-    def term(self, fields: Fields) -> ufl.Form | None:
+    def term(self, fields: FlowFields) -> ufl.Form | None:
         """See :class:`Condition`."""
         f = fields
         if self._is_strong(f):
@@ -236,7 +233,7 @@ class Slip(Condition):
             motion=f.motion, invariant=f.invariant,
         )  # fmt: skip
 
-    def strong(self, fields: Fields) -> list[Prescribed]:
+    def strong(self, fields: FlowFields) -> list[Prescribed]:
         """See :class:`Condition`."""
         if not self._is_strong(fields):
             return []
@@ -271,11 +268,11 @@ class Traction(Condition):
     gamma: Any = 1.0
     inflow: Data = None
 
-    def is_open(self, fields: Fields) -> bool:
+    def is_open(self, fields: FlowFields) -> bool:
         """See :class:`Condition`."""
         return True
 
-    def term(self, fields: Fields) -> ufl.Form:
+    def term(self, fields: FlowFields) -> ufl.Form:
         """See :class:`Condition`."""
         f = fields
         traction, g = (
@@ -312,11 +309,11 @@ class Resistance(Condition):
         checks.not_negative("resistance", self.resistance)
         checks.finite("pressure", self.pressure)
 
-    def is_open(self, fields: Fields) -> bool:
+    def is_open(self, fields: FlowFields) -> bool:
         """See :class:`Condition`."""
         return True
 
-    def term_with(self, fields: Fields, outlet_pressure: Any) -> ufl.Form:
+    def term_with(self, fields: FlowFields, outlet_pressure: Any) -> ufl.Form:
         """Residual form with the present pressure of the outlet, a Constant that the flow keeps."""
         f = fields
         traction = -outlet_pressure * ale.normal(f.mesh.domain, f.motion)

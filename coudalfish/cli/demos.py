@@ -56,7 +56,7 @@ def listing() -> str:
     )
 
 
-def run(name: str, arguments: list[str]) -> int:
+def run_demo(name: str, arguments: list[str]) -> int:
     """Run an example as a script of its own.
 
     Args:

@@ -177,7 +177,9 @@ def files() -> str:
         "sys.exit(0 if found.shape[0] == 9 else 'what was written is not what is read')\n"
     )
     with tempfile.TemporaryDirectory() as folder:
-        result = subprocess.run([sys.executable, "-c", code, folder], capture_output=True, text=True, env=outside())
+        result = subprocess.run(
+            [sys.executable, "-c", code, folder], capture_output=True, text=True, env=outside_of_mpi()
+        )
     if result.returncode:
         raise FaultError(
             f"HDF5 does not work: {_last(result.stderr)}",
@@ -186,7 +188,7 @@ def files() -> str:
     return "XDMF and HDF5"
 
 
-def outside() -> dict[str, str]:
+def outside_of_mpi() -> dict[str, str]:
     """The environment of a process that belongs to no MPI run."""
     mine = ("OMPI_", "PMIX_", "PMI_", "OPAL_", "PRTE_", "HYDRA_")
     return {key: value for key, value in os.environ.items() if not key.startswith(mine)}

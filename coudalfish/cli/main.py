@@ -34,9 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["run"] and len(given) > 1 and not given[1].startswith("-"):  # what follows is the example's
-        from coudalfish.cli.demos import run
+        from coudalfish.cli.demos import run_demo
 
-        return run(given[1], given[2:])
+        return run_demo(given[1], given[2:])
     parser = _parser()
     command = parser.parse_args(given).command
     if command is None:

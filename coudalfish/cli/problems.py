@@ -12,7 +12,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from coudalfish.cli.environment import outside
+from coudalfish.cli.environment import outside_of_mpi
 from coudalfish.cli.verdict import FaultError, RemarkError
 from coudalfish.coupler import CouDALFISh
 from shnapr.conditions import DeadLoad
@@ -130,7 +130,7 @@ def two_ranks() -> str:
     mpirun = shutil.which("mpirun", path=str(Path(sys.executable).parent)) or shutil.which("mpirun")
     if mpirun is None:
         raise RemarkError("mpirun is not there: runs use one processor")
-    environment = outside() | {"OMP_NUM_THREADS": "1"}
+    environment = outside_of_mpi() | {"OMP_NUM_THREADS": "1"}
     options = []
     if "Open MPI" in MPI.Get_library_version():
         options = ["--oversubscribe"]

@@ -49,7 +49,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Finding:
     """What came of a check.
 
     Attributes:
@@ -65,7 +65,7 @@ class Outcome:
     advice: str = ""
 
 
-def tried(check: Check, before: Sequence[Outcome] = ()) -> Outcome:
+def examined(check: Check, before: Sequence[Finding] = ()) -> Finding:
     """Do a check, if what it needs is there (collective).
 
     On several ranks it is as good as on the worst of them.
@@ -79,19 +79,19 @@ def tried(check: Check, before: Sequence[Outcome] = ()) -> Outcome:
     """
     lacking = [one.name for one in before if one.name in check.needs and one.status in ("WRONG", "-")]
     if lacking:
-        return Outcome(check.name, "-", f"not tried, it needs: {', '.join(lacking)}")
+        return Finding(check.name, "-", f"not tried, it needs: {', '.join(lacking)}")
     try:
-        found = Outcome(check.name, "ok", check.work())
+        found = Finding(check.name, "ok", check.work())
     except RemarkError as note:
-        found = Outcome(check.name, "note", str(note))
+        found = Finding(check.name, "note", str(note))
     except FaultError as trouble:
-        found = Outcome(check.name, "WRONG", trouble.what, trouble.advice)
+        found = Finding(check.name, "WRONG", trouble.what, trouble.advice)
     except Exception as error:
-        found = Outcome(check.name, "WRONG", f"{type(error).__name__}: {error}", check.advice)
+        found = Finding(check.name, "WRONG", f"{type(error).__name__}: {error}", check.advice)
     return _worst(found)
 
 
-def _worst(found: Outcome) -> Outcome:
+def _worst(found: Finding) -> Finding:
     from mpi4py import MPI
 
     all_found = MPI.COMM_WORLD.allgather(found)
@@ -108,11 +108,11 @@ def judged(checks: Sequence[Check]) -> int:
     Returns:
         Exit status: 0 when nothing is wrong, else 1.
     """
-    start, outcomes = time.perf_counter(), list[Outcome]()
+    start, outcomes = time.perf_counter(), list[Finding]()
     width = max(len(check.name) for check in checks)
     for check in checks:
         say(f"  {check.name + ' ':.<{width + 3}} ", end="")
-        outcome = tried(check, outcomes)
+        outcome = examined(check, outcomes)
         outcomes.append(outcome)
         indent = "\n" + " " * (width + 13)
         advice = f"\nwhat to do: {outcome.advice}" if outcome.advice else ""

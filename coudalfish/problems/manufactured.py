@@ -49,7 +49,7 @@ PUBLISHED_CODE = {
 
 
 @dataclass(frozen=True)
-class Data:
+class ProblemData:
     """The problem's data; consistent units."""
 
     L: float = 1.0
@@ -132,7 +132,7 @@ def cells_per_side(level: int) -> int:
     return 3 * 2 ** checks.whole("level", level, 0)
 
 
-def square(comm: MPI.Comm, data: Data, d: int, level: int) -> mesh.Mesh:
+def square(comm: MPI.Comm, data: ProblemData, d: int, level: int) -> mesh.Mesh:
     """The fluid's mesh at a refinement level.
 
     Args:
@@ -152,18 +152,18 @@ def square(comm: MPI.Comm, data: Data, d: int, level: int) -> mesh.Mesh:
     return mesh.create_box(comm, list(corners), [N, N, 1], mesh.CellType.tetrahedron)
 
 
-def on_extrusion_ends(x: Any, data: Data) -> Any:
+def on_extrusion_ends(x: Any, data: ProblemData) -> Any:
     """Mask of the points on x_3 = 0 and x_3 = H."""
     return np.isclose(x[2], 0.0, atol=1e-6 * data.L) | np.isclose(x[2], data.H, atol=1e-6 * data.L)
 
 
-def on_sides(data: Data) -> list[Any]:
+def on_sides(data: ProblemData) -> list[Any]:
     """Masks of the points on the four sides x_1, x_2 = 0, L, one function for each."""
     places = [(i, value) for i in (0, 1) for value in (0.0, data.L)]
     return [lambda x, i=i, value=value: np.isclose(x[i], value, atol=1e-6 * data.L) for i, value in places]
 
 
-def membrane(data: Data, d: int, elements: int, dt: float, projected: bool) -> ShellSubproblem:
+def membrane(data: ProblemData, d: int, elements: int, dt: float, projected: bool) -> ShellSubproblem:
     """The membrane: linear B-splines, fixed ends, no bending; nothing moves along the direction of an extrusion.
 
     Args:
@@ -201,7 +201,7 @@ def membrane(data: Data, d: int, elements: int, dt: float, projected: bool) -> S
     return ShellSubproblem(spline, residual, time, solver=direct("petsc"))
 
 
-def errors(fsi: CouDALFISh, data: Data, t: float, degree: int) -> dict[str, float]:
+def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int) -> dict[str, float]:
     """Norms of the errors per unit depth; the gradient is compared side by side.
 
     Args:

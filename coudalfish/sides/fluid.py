@@ -11,7 +11,7 @@ from dolfinx import mesh
 from petsc4py import PETSc
 
 from coudalfish.sides.handover import check_band, check_needs, check_residual
-from coudalfish.sides.mesh_motion import MeshMotion, check_displacement
+from coudalfish.sides.mesh_motion import MovingMesh, check_displacement
 from coudalfish.sides.scales import largest_speed, median_size
 from coudalfish.surface.band import SurfaceBand
 from coudalfish.surface.trace import TraceMatrix
@@ -62,7 +62,7 @@ class FluidSubproblem:
         *,
         bcs: Sequence[Any] = (),
         band: SurfaceBand | None = None,
-        moving: MeshMotion | None = None,
+        moving: MovingMesh | None = None,
         solver: LinearSolver | PETSc.KSP | None = None,
         tangent: ufl.Form | None = None,
         updates: Sequence[Callable[[float], None]] = (),

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 from petsc4py import PETSc
 
-from coudalfish.sides.mesh_motion import MeshMotion
+from coudalfish.sides.mesh_motion import MovingMesh
 from coudalfish.surface.band import BandScale, SurfaceBand
 from tigar_x import compat
 from tigar_x.fem.linear import LinearSolver
@@ -24,7 +24,7 @@ from tigar_x.fem.time_integration import TimeIntegrator
 
 
 class Needs(Protocol):
-    """What a flow needs of whoever steps it, such as ``varmint.flow.state.Needs``."""
+    """What a flow needs of whoever steps it, such as ``varmint.flow.state.FlowNeeds``."""
 
     @property
     def updates(self) -> Sequence[Callable[[float], None]]:
@@ -43,7 +43,7 @@ class Needs(Protocol):
         """Strong boundary conditions without the pin of the pressure."""
 
     @property
-    def moving(self) -> MeshMotion | None:
+    def moving(self) -> MovingMesh | None:
         """Motion of the mesh; None: it is fixed."""
 
     @property
@@ -129,7 +129,7 @@ def check_needs(
     before: Sequence[Callable[[], None]],
     rank_one: Sequence[RankOne],
     band: SurfaceBand | None,
-    moving: MeshMotion | None,
+    moving: MovingMesh | None,
     solver: LinearSolver | PETSc.KSP | None,
     density: float | None,
     viscosity: float | None,

@@ -13,7 +13,7 @@ from tigar_x.compat import FloatArray
 from tigar_x.fem.time_integration import TimeIntegrator
 
 
-class MeshMotion(Protocol):
+class MovingMesh(Protocol):
     """Motion of a fluid mesh, such as those of ``varmint.forms.motion``.
 
     Attributes:
@@ -39,7 +39,7 @@ class MeshMotion(Protocol):
         """
 
 
-def check_displacement(motion: MeshMotion, mesh_f: mesh.Mesh) -> None:
+def check_displacement(motion: MovingMesh, mesh_f: mesh.Mesh) -> None:
     """Check that points can be located in the displaced mesh.
 
     Args:
@@ -57,7 +57,7 @@ def check_displacement(motion: MeshMotion, mesh_f: mesh.Mesh) -> None:
         )
 
 
-def check_levels(motion: MeshMotion, timeInt_f: TimeIntegrator) -> None:
+def check_levels(motion: MovingMesh, timeInt_f: TimeIntegrator) -> None:
     """Check that mesh and flow share clock and intermediate level.
 
     Args:
@@ -82,7 +82,7 @@ def check_levels(motion: MeshMotion, timeInt_f: TimeIntegrator) -> None:
         )
 
 
-def displacement_of_cells(motion: MeshMotion) -> FloatArray:
+def displacement_of_cells(motion: MovingMesh) -> FloatArray:
     """Displacement of the vertices of this rank's cells at the intermediate level, where immersed points are.
 
     Args:

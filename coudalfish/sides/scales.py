@@ -4,7 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from dolfinx import fem, mesh
 
-from coudalfish.sides.mesh_motion import MeshMotion
+from coudalfish.sides.mesh_motion import MovingMesh
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -35,7 +35,7 @@ def extent(domain: mesh.Mesh) -> FloatArray:
 
 
 def largest_speed(
-    time: TimeIntegrator, moving: MeshMotion | None, velocity_space: fem.FunctionSpace, velocity_dofs: IntArray
+    time: TimeIntegrator, moving: MovingMesh | None, velocity_space: fem.FunctionSpace, velocity_dofs: IntArray
 ) -> float:
     """Largest nodal speed of a fluid relative to its mesh, at the vertices where that moves (collective).
 

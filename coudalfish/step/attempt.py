@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from coudalfish.sides.fluid import FluidSubproblem
-from coudalfish.sides.mesh_motion import MeshMotion, displacement_of_cells
+from coudalfish.sides.mesh_motion import MovingMesh, displacement_of_cells
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.acceleration import Anderson
 from coudalfish.step.acceptance import Acceptance
@@ -21,7 +21,7 @@ from coudalfish.step.options import CouplingOptions
 from coudalfish.step.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.step.watch import Watch
 from coudalfish.surface import exchange
-from coudalfish.surface.monitors import Monitors, measure
+from coudalfish.surface.monitors import Monitors, monitors_of
 from coudalfish.surface.multiplier import Multiplier, held_points
 from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import ranks
@@ -125,7 +125,7 @@ class Step:
         ranks.share(self.comm, self.shell.timeInt.x.x.array)
         self.fluid.system.apply_boundary_values()
 
-    def _move(self, moving: MeshMotion) -> None:
+    def _move(self, moving: MovingMesh) -> None:
         """The mesh at the end of the step, and its cells at the intermediate level."""
         self.block = "mesh"
         moving.time.predict()
@@ -267,7 +267,7 @@ class Step:
             raise RejectedStepError("coupling", "the new multiplier is not finite")
         on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
         areas, self.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
-        monitors = measure(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
+        monitors = monitors_of(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))
         self.watch.finished(self, report)
         return Outcome(report, lam, self.floors)

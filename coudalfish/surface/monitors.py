@@ -28,7 +28,7 @@ class Monitors:
     force_imbalance: float
 
 
-def measure(
+def monitors_of(
     slip: FloatArray,
     n: FloatArray,
     W: FloatArray,

@@ -14,7 +14,7 @@ SHARE_OF_LOAD = 0.3
 
 
 @dataclass(frozen=True)
-class Slip:
+class RelativeSlip:
     """Slip relative to the speed, root mean squares over the surface and the last steps.
 
     Attributes:
@@ -43,7 +43,7 @@ class SlipWindow:
     def __init__(self) -> None:
         self._squares: deque[tuple[float, float, float]] = deque(maxlen=WINDOW)
 
-    def add(self, slip: FloatArray, n: FloatArray, W: FloatArray, speed: float) -> Slip | None:
+    def add(self, slip: FloatArray, n: FloatArray, W: FloatArray, speed: float) -> RelativeSlip | None:
         """Take in a step.
 
         Args:
@@ -60,12 +60,12 @@ class SlipWindow:
         normal = (slip * unit).sum(axis=1, keepdims=True) * unit
         parts = root_mean_square(W, normal), root_mean_square(W, slip - normal)
         self._squares.append((parts[0] ** 2, parts[1] ** 2, speed**2))
-        return Slip(parts[0] / speed, parts[1] / speed) if speed > 0.0 else None
+        return RelativeSlip(parts[0] / speed, parts[1] / speed) if speed > 0.0 else None
 
     @property
-    def slip(self) -> Slip | None:
+    def slip(self) -> RelativeSlip | None:
         """Slip over the last steps; None: they have been too few, or nothing moves."""
         if len(self._squares) < WINDOW:
             return None
         normal, tangential, speed = np.sqrt(np.array(self._squares).sum(axis=0))
-        return Slip(float(normal / speed), float(tangential / speed)) if speed > 0.0 else None
+        return RelativeSlip(float(normal / speed), float(tangential / speed)) if speed > 0.0 else None

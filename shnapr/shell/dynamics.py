@@ -14,7 +14,7 @@ from tigar_x.ranks import agreed
 from tigar_x.splines.spline_system import SplineSystem
 
 
-def take_step(
+def shell_step(
     system: SplineSystem,
     time: TimeIntegrator,
     options: ShellOptions,
@@ -52,7 +52,7 @@ def take_step(
     return ShellReport(time.time, t_alpha, done.norms, done.tangents, measured)
 
 
-def check_clock(own: TimeIntegrator, dt: float, scheme: Scheme, t: float) -> None:
+def check_binding(own: TimeIntegrator, dt: float, scheme: Scheme, t: float) -> None:
     """Check that a shell's clock is that of what it is coupled with.
 
     Args:

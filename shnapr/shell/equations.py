@@ -7,7 +7,7 @@ from functools import cached_property
 import ufl
 from dolfinx import fem
 
-from shnapr.conditions import Fields, Load
+from shnapr.conditions import Load, ShellFields
 from shnapr.loads import inertia
 from shnapr.work import Material, internal_tangent, internal_work, strain_energy
 from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
@@ -45,7 +45,7 @@ class Displacements:
         if isinstance(clock, TimeIntegrator):
             y, v, t = clock.x_alpha, clock.xdot_alpha, clock.t_alpha
         is_static = isinstance(clock, LoadStepper)
-        self.fields = Fields(spline, y, v, ufl.TestFunction(spline.V), t, is_static, density, thickness)
+        self.fields = ShellFields(spline, y, v, ufl.TestFunction(spline.V), t, is_static, density, thickness)
         self._terms = acting(loads, self.fields)
         if isinstance(clock, TimeIntegrator):
             mass = self.fields.mass("a shell that moves in time")
@@ -82,7 +82,7 @@ class Displacements:
         return with_derivatives(own, acting(self._loads, present), self._y), mass
 
 
-def acting(loads: Sequence[Load], fields: Fields) -> list[ufl.Form]:
+def acting(loads: Sequence[Load], fields: ShellFields) -> list[ufl.Form]:
     """Terms of loads; those that do nothing have none."""
     return [term for term in (load.term(fields) for load in loads) if term is not None]
 

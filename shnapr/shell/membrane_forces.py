@@ -8,7 +8,7 @@ import ufl
 from dolfinx import fem
 
 from shnapr import mixed
-from shnapr.conditions import Fields, Load
+from shnapr.conditions import Load, ShellFields
 from shnapr.shell.equations import acting, with_derivatives
 from shnapr.svk import StVenantKirchhoff
 from tigar_x import checks
@@ -48,7 +48,7 @@ class MembraneForces:
         self._w, self._test = fem.Function(self.space.V, name="w"), ufl.TestFunction(self.space.V)
         self.clock = LoadStepper(self._w, 1.0)
         u, z = (mixed.displacement_part(spline, field) for field in (self._w, self._test))
-        self._terms = acting(loads, Fields(spline, u, None, z, self.clock.t, True, density, material.thickness))
+        self._terms = acting(loads, ShellFields(spline, u, None, z, self.clock.t, True, density, material.thickness))
 
     @cached_property
     def residual(self) -> ufl.Form:

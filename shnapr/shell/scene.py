@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from shnapr.conditions import Load
 from shnapr.parameters import constant_of, with_constants
-from shnapr.shell.dynamics import check_clock
+from shnapr.shell.dynamics import check_binding
 from shnapr.shell.equations import Displacements
 from shnapr.shell.options import ShellOptions
 from shnapr.shell.quantities import Places, field_of
@@ -140,7 +140,7 @@ class Scene:
         if self.time is None:
             self._set_clock(dt, wanted, t)
         else:
-            check_clock(self.time, dt, wanted, t)
+            check_binding(self.time, dt, wanted, t)
 
     def _set_clock(self, dt: float, scheme: Scheme, t: float) -> None:
         self._in_displacements("a clock")

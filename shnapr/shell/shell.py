@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from shnapr.shell.dynamics import take_step
+from shnapr.shell.dynamics import shell_step
 from shnapr.shell.equations import Displacements
 from shnapr.shell.options import ShellError, ShellReport
 from shnapr.shell.quantities import Energies, EnergyForms, resultant
@@ -142,7 +142,7 @@ class Shell(Scene):
             raise ValueError("dt = None: a shell without a clock takes no steps; solve() finds its equilibrium")
         if self.time.coupled:
             raise ValueError("the shell is coupled with a flow: take the steps of what couples them")
-        return take_step(self.system, self.time, self.options, self.updates, self.copies, measure)
+        return shell_step(self.system, self.time, self.options, self.updates, self.copies, measure)
 
     def run(self, *, halvings: int = 6, **options: Any) -> "Run":
         """A run of many steps, as an iterator of their reports.

@@ -58,14 +58,15 @@ from tigar_x.compat.spaces import (
     interpolate,
     lagrange_degree,
     lagrange_space,
-    mixed_space,
+    mixed_lagrange_space,
     node_points,
     subcells,
     tabulate,
     tabulate_gradients,
     unknowns,
 )
-from tigar_x.compat.symbols import Constant, ask, given, is_function
+from tigar_x.compat.symbols import Constant, Data, ask, given, is_function
+from tigar_x.moved import guide
 
 __all__ = [
     "VERSION",
@@ -84,13 +85,14 @@ __all__ = [
     "component_space",
     "lagrange_degree",
     "lagrange_space",
-    "mixed_space",
+    "mixed_lagrange_space",
     "node_points",
     "subcells",
     "tabulate",
     "tabulate_gradients",
     "unknowns",
     "Constant",
+    "Data",
     "ask",
     "given",
     "is_function",
@@ -126,3 +128,4 @@ __all__ = [
     "petsc_vector",
     "pin_component",
 ]
+__getattr__ = guide(__name__)

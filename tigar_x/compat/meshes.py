@@ -9,7 +9,7 @@ from mpi4py import MPI
 from dolfinx import geometry, la, mesh
 from numpy.typing import ArrayLike, NDArray
 
-from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
+from tigar_x.compat.release import VERSION, FloatArray, IntArray, as_table
 
 if VERSION < (0, 9):
 
@@ -82,7 +82,7 @@ def cell_nodes(domain: mesh.Mesh) -> IntArray:
     """Nodes of the geometry of all local cells, its vertices first, shape (cells, nodes per cell)."""
     nodes = domain.geometry.dofmap if VERSION < (0, 11) else domain.geometry.dofmaps[0]
     empty = VERSION < (0, 9) and nodes.num_nodes == 0
-    return np.zeros((0, _VERTICES[cell_name(domain)][0]), dtype=np.int32) if empty else table(nodes)
+    return np.zeros((0, _VERTICES[cell_name(domain)][0]), dtype=np.int32) if empty else as_table(nodes)
 
 
 def facet_nodes(domain: mesh.Mesh) -> IntArray:

@@ -6,6 +6,10 @@ import dolfinx
 import numpy as np
 from numpy.typing import NDArray
 
+from tigar_x.moved import guide
+
+__getattr__ = guide(__name__)
+
 VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
 """Major and minor number of the dolfinx in use."""
 if VERSION not in ((0, 5), (0, 9), (0, 11)):
@@ -15,6 +19,6 @@ IntArray = NDArray[np.int32]
 FloatArray = NDArray[np.float64]
 
 
-def table(connectivity: Any) -> IntArray:
+def as_table(connectivity: Any) -> IntArray:
     """Connectivity with as many entries in every row as a matrix; an adjacency list in 0.5, an array afterwards."""
     return connectivity.array.reshape(connectivity.num_nodes, -1) if VERSION < (0, 9) else connectivity

@@ -13,7 +13,10 @@ from ufl.algorithms.apply_derivatives import apply_derivatives
 from tigar_x.compat.forms import JIT, compiling
 from tigar_x.compat.jit import safe_cache
 from tigar_x.compat.meshes import cell_name, cell_nodes, is_simplex, owned_cells
-from tigar_x.compat.release import VERSION, FloatArray, IntArray, table
+from tigar_x.compat.release import VERSION, FloatArray, IntArray, as_table
+from tigar_x.moved import guide
+
+__getattr__ = guide(__name__)
 
 # Nodes lie at Gauss-Lobatto-Legendre points, which is the default of all releases.
 if VERSION < (0, 9):
@@ -68,7 +71,7 @@ def lagrange_space(domain: mesh.Mesh, degree: int, size: int = 1, *, discontinuo
     return _function_space(domain, _lagrange(cell_name(domain), degree, size, discontinuous))
 
 
-def mixed_space(domain: mesh.Mesh, *parts: tuple[int, int]) -> fem.FunctionSpace:
+def mixed_lagrange_space(domain: mesh.Mesh, *parts: tuple[int, int]) -> fem.FunctionSpace:
     """Mixed Lagrange space.
 
     Args:
@@ -137,7 +140,7 @@ def cell_dofs(space: fem.FunctionSpace) -> IntArray:
     rows = space.dofmap.list
     if VERSION < (0, 9) and rows.num_nodes == 0:
         return np.zeros((0, space.dofmap.dof_layout.num_dofs), dtype=np.int32)
-    return table(rows)
+    return as_table(rows)
 
 
 def tabulate(space: fem.FunctionSpace, points: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Symbols that stand for numbers, and users' functions of them, which are asked once for an expression."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,6 +12,9 @@ from ufl.core.expr import Expr
 from tigar_x.compat.release import VERSION
 
 log = logging.getLogger(__name__)
+
+Data = Callable[[Any, Any], Any] | Sequence[Any] | Any
+"""Data of a problem: numbers, UFL or Constants, or a function of position and time that returns UFL."""
 
 _OF_UFL: tuple[type[Exception], ...] = (TypeError, ValueError, AttributeError)
 if VERSION < (0, 9):

@@ -86,12 +86,12 @@ class Patch(ControlNet):
             ValueError: another object, a trimmed surface, whose boundary curves a patch does not have, or a periodic
                 object whose start does not have the continuity that splipy says.
         """
-        bases, columns = splipy_objects.read(shape)
+        bases, columns = splipy_objects.from_splipy(shape)
         return cls(bases, columns, side_names or {})
 
     def to_splipy(self) -> Any:
         """The patch as splipy Curve, Surface or Volume, with weights where it has any."""
-        return splipy_objects.write(self.bases, self.control, rational=self.rational)
+        return splipy_objects.to_splipy(self.bases, self.control, rational=self.rational)
 
     @cached_property
     def basis(self) -> TensorBasis:

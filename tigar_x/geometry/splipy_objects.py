@@ -9,7 +9,7 @@ from tigar_x.compat import FloatArray
 from tigar_x.geometry.bspline import BSplineBasis
 
 
-def read(shape: Any) -> tuple[tuple[BSplineBasis, ...], FloatArray]:
+def from_splipy(shape: Any) -> tuple[tuple[BSplineBasis, ...], FloatArray]:
     """Bases and homogeneous control points of a splipy Curve, Surface or Volume.
 
     Args:
@@ -45,7 +45,7 @@ def read(shape: Any) -> tuple[tuple[BSplineBasis, ...], FloatArray]:
     return tuple(bases), columns
 
 
-def write(bases: Sequence[BSplineBasis], control: FloatArray, *, rational: bool) -> Any:
+def to_splipy(bases: Sequence[BSplineBasis], control: FloatArray, *, rational: bool) -> Any:
     """The splipy Curve, Surface or Volume of bases and control points.
 
     Args:

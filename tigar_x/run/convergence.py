@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 
 from tigar_x import checks
-from tigar_x.run.figure import label
+from tigar_x.run.figure import axis_label
 from tigar_x.run.progress import Stopwatch, peak_rss_mib
 from tigar_x.run.summary import table
 
@@ -123,7 +123,7 @@ class Study:
         x = [getattr(level, against) for level in self.levels]
         for name, rate in self.rates.items():
             axes.loglog(x, [level.errors[name] for level in self.levels], "o-", label=f"{name}: rate {rate:.2f}")
-        axes.set(xlabel=label(*chosen), ylabel=label("error", unit))
+        axes.set(xlabel=axis_label(*chosen), ylabel=axis_label("error", unit))
         axes.grid(True, linewidth=0.4)
         axes.legend()
 

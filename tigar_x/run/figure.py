@@ -1,9 +1,9 @@
 """Figures with matplotlib: one way to make one, and curves over a quantity or over time.
 
 A figure has panels; a panel is a function of matplotlib's axes. Rank 0 draws, so what a panel shows is gathered before,
-on all ranks. Whatever a figure shows has a name and a unit, or the figure is refused: :func:`label` asks for both, and
-:func:`draw` looks at every axis before it saves. What is a pure number has the unit ``"-"``; in consistent units the
-unit is a word such as ``"length"``.
+on all ranks. Whatever a figure shows has a name and a unit, or the figure is refused: :func:`axis_label` asks for both,
+and :func:`draw` looks at every axis before it saves. What is a pure number has the unit ``"-"``; in consistent units
+the unit is a word such as ``"length"``.
 
 matplotlib is loaded when something is drawn, without pyplot: no window system is asked for, and no figure stays.
 """
@@ -38,7 +38,7 @@ class Table(Protocol):
         """One number a step."""
 
 
-def label(what: str, unit: str) -> str:
+def axis_label(what: str, unit: str) -> str:
     """Label of an axis.
 
     Args:
@@ -78,7 +78,7 @@ def draw(
 
     Raises:
         ValueError: on all ranks: there is no panel, heights are not those of the rows, an axis has no label of the form
-            of :func:`label`, or axes without ticks have no scale.
+            of :func:`axis_label`, or axes without ticks have no scale.
         Exception: on all ranks: that of a panel, or of writing.
     """
     on_root(comm, lambda: _draw(Path(path), _rows(panels, columns), size, heights, title, dpi))
@@ -132,7 +132,7 @@ def _refuse_unlabelled(drawn: Any, path: Path) -> None:
             if not LABEL.fullmatch(text):
                 raise ValueError(
                     f"{path.name}: the {name} axis of the axes{title} has the label {text!r}: what it shows and "
-                    f'[unit] are required, such as label("time", "s")'
+                    f'[unit] are required, such as axis_label("time", "s")'
                 )
         if not ticked and not scaled and axes.has_data():
             raise ValueError(f"{path.name}: the axes{title} have neither ticks nor a scale bar: one is required")
@@ -165,7 +165,7 @@ def lines(
     Raises:
         ValueError: an axis has no name or no unit.
     """
-    labels, given, marks = {"xlabel": label(*x), "ylabel": label(*y)}, styles or {}, levels or {}
+    labels, given, marks = {"xlabel": axis_label(*x), "ylabel": axis_label(*y)}, styles or {}, levels or {}
 
     def panel(axes: Any) -> None:
         for name, (abscissae, ordinates) in courses.items():

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks
 from tigar_x.ranks import root_only
-from tigar_x.run.figure import label
+from tigar_x.run.figure import axis_label
 from tigar_x.run.writing import replace_bytes
 
 
@@ -34,7 +34,7 @@ class Colours:
     palette: str = "viridis"
 
     def __post_init__(self) -> None:
-        label(self.what, self.unit)
+        axis_label(self.what, self.unit)
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise ValueError(f"low = {self.low}: a number below high = {self.high} is required")
 
@@ -77,7 +77,7 @@ class Colours:
             place = {"cax": several[0].inset_axes((1.02, 0.0, 0.025, 1.0))}
         else:
             place = {"ax": list(several)} | place
-        return several[0].figure.colorbar(explained, label=label(self.what, self.unit), extend=extend, **place)
+        return several[0].figure.colorbar(explained, label=axis_label(self.what, self.unit), extend=extend, **place)
 
 
 @root_only

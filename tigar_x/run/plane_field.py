@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.run.figure import Panel, label
+from tigar_x.run.figure import Panel, axis_label
 from tigar_x.run.pictures import Colours
 
 
@@ -63,7 +63,7 @@ class PlaneField:
         colours.bar(axes, values, mappable=shade)
         (left, bottom), (right, top) = self.x.min(axis=0), self.x.max(axis=0)
         axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
-        axes.set(xlabel=label("$x_1$", length), ylabel=label("$x_2$", length))
+        axes.set(xlabel=axis_label("$x_1$", length), ylabel=axis_label("$x_2$", length))
 
     def streamlines(self, axes: Any, samples: int = 80, **style: Any) -> None:
         """Draw streamlines of the first two components.

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.run.convergence import Study
-from tigar_x.run.figure import draw, label
+from tigar_x.run.figure import axis_label, draw
 from tigar_x.run.pictures import Colours
 from tigar_x.splines import sampling
 from tigar_x.splines.spline import ExtractedSpline
@@ -70,11 +70,11 @@ class Solution:
         def solution(axes: Any) -> None:
             if dim == 1:
                 axes.plot([i / (samples - 1) for i in range(samples)], u)
-                axes.set(xlabel=label("parameter, by its range", "-"), ylabel=label(what, "-"))
+                axes.set(xlabel=axis_label("parameter, by its range", "-"), ylabel=axis_label(what, "-"))
             else:
                 shade = axes.pcolormesh(x[..., 0], x[..., 1], u, shading="gouraud")
                 Colours(what, "-").bar(axes, u, mappable=shade)
-                axes.set(aspect="equal", xlabel=label("$x_1$", "-"), ylabel=label("$x_2$", "-"))
+                axes.set(aspect="equal", xlabel=axis_label("$x_1$", "-"), ylabel=axis_label("$x_2$", "-"))
             axes.set_title("solution" if dim < 3 else "solution in the middle of the third direction")
 
         draw(path.with_suffix(".png"), solution, study.draw)

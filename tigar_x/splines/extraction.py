@@ -68,7 +68,7 @@ def tagged_boundary(domain: mesh.Mesh, parts: Sequence[tuple[int, Callable[[Floa
     return mesh.meshtags(domain, dim, facets[order], tags[order])
 
 
-def lagrange_degree(degrees: Sequence[int], simplices: bool) -> int:
+def element_degree(degrees: Sequence[int], simplices: bool) -> int:
     """Degree of the Lagrange space that contains a tensor-product spline on one element.
 
     Args:

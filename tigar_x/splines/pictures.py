@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray
-from tigar_x.run.figure import SCALE, Panel, draw, label
+from tigar_x.run.figure import SCALE, Panel, axis_label, draw
 from tigar_x.run.pictures import Colours
 from tigar_x.splines.sampling import Sampling
 
@@ -150,7 +150,7 @@ def scene(
     Raises:
         ValueError: no surface and no line, values without colours, or no unit.
     """
-    label("length", length)
+    axis_label("length", length)
     fields = [surface.values for surface in shown if surface.values is not None]
     if fields and colours is None:
         raise ValueError("colours = None: surfaces with values are shown by a scale of colours")
@@ -328,7 +328,7 @@ def family(
     if (colours is None) != (values is None):
         raise ValueError("colours and values belong together: both or neither is required")
     numbers = np.zeros(0) if values is None else checks.array("values", values, (len(curves),))
-    right, up = (label(f"$x_{i + 1}$", length) for i in coordinates)
+    right, up = (axis_label(f"$x_{i + 1}$", length) for i in coordinates)
 
     def panel(axes: Any) -> None:
         paints = None if colours is None else colours.mappable(numbers).to_rgba(numbers)

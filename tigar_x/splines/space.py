@@ -13,7 +13,7 @@ from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.linear import PreparedSolver, direct
 from tigar_x.splines.constraints import null_space
-from tigar_x.splines.extraction import Evaluable, lagrange_degree, node_matrix, petsc_matrix, set_nodal
+from tigar_x.splines.extraction import Evaluable, element_degree, node_matrix, petsc_matrix, set_nodal
 
 
 class SplineSpace:
@@ -54,11 +54,11 @@ class SplineSpace:
         self.mesh = domain
         self.parts = tuple((functions, checks.whole("size", size, 1)) for functions, size in parts)
         simplices = compat.is_simplex(domain)
-        shapes = [(lagrange_degree(functions.degrees, simplices), size) for functions, size in self.parts]
+        shapes = [(element_degree(functions.degrees, simplices), size) for functions, size in self.parts]
         if len(shapes) == 1:
             self.V = compat.lagrange_space(domain, *shapes[0])
         else:
-            self.V = compat.mixed_space(domain, *shapes)
+            self.V = compat.mixed_lagrange_space(domain, *shapes)
         self.sizes = tuple(functions.n * size for functions, size in self.parts)
         self.n = sum(self.sizes)
         fixed: IntArray = np.unique(checks.indices("zero_dofs", zero_dofs, self.n))

@@ -23,7 +23,7 @@ from tigar_x.geometry.locate import points_on
 from tigar_x.geometry.multipatch import MultiPatch
 from tigar_x.geometry.net import ControlNet
 from tigar_x.geometry.patch import Patch
-from tigar_x.splines.extraction import Evaluable, lagrange_degree, parametric_mesh, set_nodal
+from tigar_x.splines.extraction import Evaluable, element_degree, parametric_mesh, set_nodal
 from tigar_x.splines.measures import SideMeasure, SplineMeasure, nodal_integrals, refuse_flat_elements
 from tigar_x.splines.projection import LumpedProjector, fit, scalar_or_vector
 from tigar_x.splines.sides import named_or_outer, tag_of, tagged_sides
@@ -88,7 +88,7 @@ class ExtractedSpline:
         self.node_weights: FloatArray = homogeneous[:, -1]
         self.node_positions: FloatArray = homogeneous[:, :-1] / homogeneous[:, -1:]
         size = self.nsd + 1 if geometry.rational else self.nsd
-        degree = lagrange_degree(geometry.functions.degrees, cells == "simplex" and self.dim > 1)
+        degree = element_degree(geometry.functions.degrees, cells == "simplex" and self.dim > 1)
         control = fem.Function(compat.lagrange_space(self.mesh, degree, size), name="control")
         set_nodal(control, homogeneous[:, :size])
         parts = [control[i] for i in range(size)] if size > 1 else [control]

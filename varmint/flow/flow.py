@@ -32,9 +32,9 @@ from varmint.flow.options import (
 )
 from varmint.flow.pressure import by_null_space, pressure_pin
 from varmint.flow.start import consistent_start, set_state
-from varmint.flow.state import FlowState, Needs
+from varmint.flow.state import FlowNeeds, FlowState
 from varmint.flow.steady import solve_steady
-from varmint.flow.step import take_step
+from varmint.flow.step import flow_step
 from varmint.flow.terms import Interior, Term, boundary_terms, strong_values, surface_scales
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
@@ -128,7 +128,7 @@ class Flow:
         self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
         if self.time is not None:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
-            self.time.needs = Needs(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu, self.scales)
+            self.time.needs = FlowNeeds(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu, self.scales)
 
     def __repr__(self) -> str:
         return f"Flow({self._state.outline}, {'; '.join(map(str, self.conditions))})"
@@ -271,7 +271,7 @@ class Flow:
         if time.coupled:
             raise ValueError("the flow is coupled with a shell: take the steps of what couples them")
         check_clock(time, self.moving)
-        return take_step(
+        return flow_step(
             self._state, time, self.system, lambda: self._newton(keep=self.options.keep), self.updates, measure,
             has_solid=self._solid is not None,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from tigar_x.fem.linear import LinearSolver
 from tigar_x.fem.low_rank import RankOne
 from tigar_x.fem.schemes import Scheme
 from tigar_x.fem.time_integration import TimeIntegrator
-from varmint.conditions import Fields
+from varmint.conditions import FlowFields
 from varmint.flow.options import FlowOptions
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
@@ -22,7 +22,7 @@ from varmint.mesh.named import NamedMesh
 
 
 @dataclass(frozen=True)
-class Needs:
+class FlowNeeds:
     """What a flow needs of whoever steps it, beside its residual.
 
     Attributes:
@@ -57,7 +57,7 @@ class FlowTime(TimeIntegrator):
         needs: see there.
     """
 
-    needs: Needs
+    needs: FlowNeeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class FlowState:
     w: fem.Function
     time: FlowTime | None
     rate: Any
-    fields: Fields
+    fields: FlowFields
     moving: PrescribedMotion | ElasticMotion | None
     fluid_cells: tuple[str, ...]
 
@@ -130,7 +130,7 @@ class FlowState:
         extra = 0 if motion is None else 2 * (motion.degree - 1)
         quadrature = 2 * degree + extra if options.quadrature_degree is None else options.quadrature_degree
         t_alpha, end = t if time is None else time.t_alpha, None if moving is None else moving.end
-        fields = Fields(
+        fields = FlowFields(
             mesh, *split(level), *split(ufl.TestFunction(V)), density, viscosity, t, t_alpha, motion, end,
             options.invariant_metric, quadrature,
         )  # fmt: skip

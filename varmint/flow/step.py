@@ -10,7 +10,7 @@ from varmint.flow.options import FlowError, FlowReport
 from varmint.flow.state import FlowState
 
 
-def take_step(
+def flow_step(
     state: FlowState,
     time: TimeIntegrator,
     system: FiniteElementSystem,

@@ -48,7 +48,7 @@ def _compressible(name: str, value: Any) -> float:
     return number
 
 
-class StVenantKirchhoff(_Elastic):
+class StVenantKirchhoffSolid(_Elastic):
     """St. Venant-Kirchhoff solid, ``S = lambda tr(E) I + 2 mu E`` with Green's strain E; plane strain in the plane."""
 
     def first_piola_kirchhoff(self, F: Any) -> Any:
@@ -59,7 +59,7 @@ class StVenantKirchhoff(_Elastic):
         return F * (lam * ufl.tr(E) * eye + 2 * mu * E)
 
 
-class NeoHookean(_Elastic):
+class NeoHookeanSolid(_Elastic):
     """Neo-Hookean solid, ``psi = mu/2 (tr C - 2 ln J - d) + lambda/2 (ln J)^2``; plane strain in the plane."""
 
     def first_piola_kirchhoff(self, F: Any) -> Any:
@@ -69,11 +69,11 @@ class NeoHookean(_Elastic):
         return mu * (F - F_inv_T) + lam * ufl.ln(ufl.det(F)) * F_inv_T
 
 
-Material = StVenantKirchhoff | NeoHookean
+SolidMaterial = StVenantKirchhoffSolid | NeoHookeanSolid
 
 
 def solid_residual(
-    material: Material, displacement: Any, acceleration: Any, w: Any, dx: Any, *, f: Any = None
+    material: SolidMaterial, displacement: Any, acceleration: Any, w: Any, dx: Any, *, f: Any = None
 ) -> ufl.Form:
     """Balance of momentum of a solid, ``int rho a . w + P : grad w - rho f . w`` over its reference configuration.
 
@@ -147,7 +147,7 @@ class Solid:
         on: cell group that it fills, or several.
     """
 
-    material: Material
+    material: SolidMaterial
     on: str | tuple[str, ...] = "solid"
 
     @property

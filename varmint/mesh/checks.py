@@ -230,7 +230,7 @@ def _check_disjoint(kind: str, groups: Mapping[str, Numbers]) -> None:
         raise ValueError(f"{both} overlap: groups that share nothing are required")
 
 
-def extruded(arrays: MeshArrays, depth: float, layers: int) -> MeshArrays:
+def extruded_arrays(arrays: MeshArrays, depth: float, layers: int) -> MeshArrays:
     """Tetrahedra or hexahedra between z = 0 and a depth, over a mesh of triangles or quadrilaterals.
 
     Every prism over a triangle is cut in three by the order of its vertices' numbers, so that neighbours match.

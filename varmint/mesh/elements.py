@@ -5,13 +5,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray
-from varmint.mesh.checks import FACETS, MeshArrays, number_rows
-
-Numbers = NDArray[np.int64]
+from varmint.mesh.checks import FACETS, MeshArrays, Numbers, number_rows
 
 CELLS = {
     "triangle": ("triangle", "line", [0, 1, 2]),

@@ -20,7 +20,7 @@ NEAR = 1e-9
 """Relative to the size of the mesh, how far the same point may be off in the file of the facets."""
 
 
-def read(
+def read_mesh(
     comm: MPI.Comm,
     path: Path | str,
     *,

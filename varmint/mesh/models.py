@@ -11,7 +11,7 @@ from mpi4py import MPI
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from varmint.mesh.arrays import distributed
-from varmint.mesh.checks import MeshArrays, extruded
+from varmint.mesh.checks import MeshArrays, extruded_arrays
 from varmint.mesh.elements import Elements
 from varmint.mesh.named import CELLS, NamedMesh
 from varmint.mesh.session import model_elements, session
@@ -150,7 +150,7 @@ def channel_with_cylinder(
             plane = model_elements(gmsh, 2, "the channel").arrays()
         if equal_area:
             plane = replace(plane, x=_with_equal_area(plane, np.array([x, y]), radius))
-        return plane if depth is None else extruded(plane, depth, int(np.ceil(depth / size - 1e-9)))
+        return plane if depth is None else extruded_arrays(plane, depth, int(np.ceil(depth / size - 1e-9)))
 
     return distributed(comm, arrays)
 
