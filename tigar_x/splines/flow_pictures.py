@@ -13,7 +13,7 @@ from dolfinx import fem
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 from tigar_x.ranks import on_root
-from tigar_x.run.figure import Panel, label
+from tigar_x.run.figure import Panel, axis_label
 from tigar_x.run.pictures import Colours
 from tigar_x.run.plane_field import whole
 from tigar_x.splines.pictures import Surface, View, frame
@@ -58,7 +58,7 @@ def flow_scene(
         ValueError: the flow is not in space, or there is no unit.
     """
     V, eye = w.function_space, View() if view is None else view
-    label("length", length)
+    axis_label("length", length)
     if V.mesh.geometry.dim != 3 or V.dofmap.index_map_bs < 3:
         raise ValueError(f"w lies in {V.mesh.geometry.dim} dimensions: a velocity in space is required")
     checks.whole("streamlines", streamlines, 0)
