@@ -95,9 +95,14 @@ def test_porting_runs_as_printed(names_of):
 
 def test_a_flow_in_a_script_runs_as_printed(names_of):
     """Poiseuille's flow but near the outlet, whose traction vanishes with the shear: p falls by 8 mu a length."""
-    center = names_of("flow.md")["center"]
+    names = names_of("flow.md")
+    center, friction = names["center"], names["run"].history["friction_1"]
     np.testing.assert_allclose(center[:2], (1.0, 0.0), atol=1e-3)
     assert center[2] == pytest.approx(0.8, rel=0.05)
+    assert len(friction) == 10
+    assert friction[-1] == pytest.approx(0.4 * 2.0, rel=0.2)  # mu du/dy times the length, less near the outlet
+    for left in ("flow.vtkhdf", "history.csv", "channel.png"):
+        assert Path("results/channel", left).exists()
 
 
 def test_a_shell_in_a_script_runs_as_printed(names_of):
