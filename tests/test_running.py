@@ -119,7 +119,7 @@ def test_a_run_yields_the_report_of_every_step(length):
     [
         ({}, range(1, 11)),
         ({"every": 3}, [3, 6, 9, 10]),
-        ({"every": 4, "steps": 8}, [4, 8]),
+        ({"every": np.int64(4), "steps": 8}, [4, 8]),
         ({"every": 0.25}, [3, 5, 8, 10]),
         ({"every": 0.3}, [3, 6, 9, 10]),
         ({"every": 50.0}, [10]),

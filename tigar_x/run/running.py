@@ -18,6 +18,7 @@ import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -165,7 +166,7 @@ class Run:
             return False
         if self.step == self.steps:
             return True
-        if isinstance(self._every, int):
+        if isinstance(self._every, Integral):
             return self.step % self._every == 0
         passed = (math.floor(t / self._every + SLACK) for t in (before, self._stepper.time))
         return next(passed) < next(passed)
@@ -320,7 +321,7 @@ def _outputs(every: float | None, frames: int | None) -> tuple[float | None, int
         raise ValueError(f"every = {every!r}, frames = {frames!r}: one of them is allowed")
     if frames is not None:
         return None, checks.whole("frames", frames, 0)
-    if every is None or isinstance(every, int):
+    if every is None or isinstance(every, Integral):
         return checks.whole("every", 1 if every is None else every, 1), None
     return checks.positive("every", every), None
 
