@@ -50,7 +50,7 @@ def to_splipy(bases: Sequence[BSplineBasis], control: FloatArray, *, rational: b
 
     Args:
         bases: univariate bases.
-        control: homogeneous control points, see :func:`read`.
+        control: homogeneous control points, see :func:`from_splipy`.
         rational: whether it is to have weights.
     """
     from splipy import BSplineBasis as Knots

@@ -30,7 +30,7 @@ class PlaneField:
     """
 
     def __init__(self, function: fem.Function, displacement: fem.Function | None = None) -> None:
-        V, found = function.function_space, whole(function, displacement)
+        V, found = function.function_space, nodal_values(function, displacement)
         self.x, self.values = np.zeros((0, 2)), np.zeros((0, V.dofmap.index_map_bs))
         self.triangles = np.zeros((0, 3), dtype=int)
         if found is None:
@@ -128,7 +128,7 @@ class PlaneField:
         return self.panel((self.values[:, :2] ** 2).sum(axis=1) ** 0.5, Colours("speed", unit), length=length, **more)
 
 
-def whole(
+def nodal_values(
     function: fem.Function, displacement: fem.Function | None = None
 ) -> tuple[FloatArray, FloatArray, Any] | None:
     """Nodal values of a field on linear cells (collective).

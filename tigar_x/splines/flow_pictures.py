@@ -15,8 +15,8 @@ from tigar_x.compat import FloatArray
 from tigar_x.ranks import on_root
 from tigar_x.run.figure import Panel, axis_label
 from tigar_x.run.pictures import Colours
-from tigar_x.run.plane_field import whole
-from tigar_x.splines.pictures import Surface, View, frame
+from tigar_x.run.plane_field import nodal_values
+from tigar_x.splines.pictures import Surface, View, framed
 
 CELLS = {"tetra": 10, "hexahedron": 12}
 """VTK's numbers of cells."""
@@ -63,14 +63,14 @@ def flow_scene(
         raise ValueError(f"w lies in {V.mesh.geometry.dim} dimensions: a velocity in space is required")
     checks.whole("streamlines", streamlines, 0)
     checks.whole("pixels", pixels, 2)
-    field, kind = whole(w, displacement), CELLS[compat.subcells(V)[0]]
+    field, kind = nodal_values(w, displacement), CELLS[compat.subcells(V)[0]]
     options = shown, colours, eye, level, streamlines, pixels
     rendered = on_root(V.mesh.comm, lambda: _render(field, kind, *options))
 
     def panel(axes: Any) -> None:
         picture, speed, low, high = rendered  # type: ignore[misc]  # rank 0 draws
         axes.imshow(picture, extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased")
-        frame(axes, low, high, eye, length)
+        framed(axes, low, high, eye, length)
         colours.bar(axes, speed)
         axes.set_title(title)
 

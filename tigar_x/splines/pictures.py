@@ -163,7 +163,7 @@ def scene(
         scale = colours.mappable(values) if colours is not None and fields else None
         corners = np.concatenate(_draw_polygons(axes, shown, segments, view, scale))
         room = corners if box is None else np.concatenate([corners, view.seen(_box_corners(box))[:, :2]])
-        frame(axes, room.min(axis=0), room.max(axis=0), view, length)
+        framed(axes, room.min(axis=0), room.max(axis=0), view, length)
         if bar and colours is not None and fields:
             colours.bar(axes, values)
         axes.set_title(title)
@@ -224,7 +224,7 @@ def _box_corners(box: ArrayLike) -> FloatArray:
     return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def frame(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str) -> None:
+def framed(axes: Any, low: FloatArray, high: FloatArray, view: View, length: str) -> None:
     """Make room for a picture, a bar of length below it on the right, and the directions of the axes on the left.
 
     Args:
