@@ -25,6 +25,8 @@ OPTIONAL = {
 """What not everybody needs, and what for."""
 LITTLE = 200
 """Free space for compiled forms below which it is said; unit: MB."""
+LONG = 160
+"""Characters of an error that are shown."""
 SET_UP = "run `make setup` in a checkout, or install them: README.md says what runs on what"
 
 
@@ -195,9 +197,10 @@ def outside_of_mpi() -> dict[str, str]:
 
 
 def _last(text: str) -> str:
-    """Last line of an error's text that says something."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else "it ended without a word"
+    """The line of an error's text that says most: a compiler's first error, else the last one."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()] or ["it ended without a word"]
+    line = next((line for line in lines if "error: " in line), lines[-1])
+    return line if len(line) <= LONG else f"{line[:LONG]} ..."
 
 
 def _on_root(work: Work) -> Work:
