@@ -154,3 +154,15 @@ def test_commands_in_documents_have_their_options():
         for option in re.findall(r" --([\w-]+)", words):
             names = {option.replace("-", "_"), option.removeprefix("no-").replace("-", "_")}
             assert names & options(folder, name), f"{folder}{name}.py --{option}"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_rows_of_a_table_have_as_many_cells_as_its_head(path):
+    cells = None
+    for line in path.read_text().splitlines():
+        if not line.startswith("|"):
+            cells = None
+            continue
+        found = len(re.findall(r"(?<!\\)\|", re.sub(r"`[^`]*`", "", line)))
+        cells = cells or found
+        assert found == cells, line
