@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from mpi4py import MPI
+from dolfinx import fem
 from petsc4py import PETSc
 from scenes import sheet_in_flow
 from test_fallbacks import blocked_matrix, loads, relative_residual
@@ -15,9 +17,11 @@ from test_motion import ALPHA, DT, FACES, brick
 
 from shnapr.shell import Shell
 from shnapr.svk import StVenantKirchhoff
+from tigar_x import compat
 from tigar_x.fem.eigen import eigenpairs
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen, direct, gmres_ilu, gmres_sor
 from tigar_x.fem.petsc_options import RTOL, taken
+from tigar_x.fem.solve import FiniteElementSystem
 from tigar_x.geometry import shapes
 from tigar_x.run import script
 from tigar_x.run.summary import plain
@@ -190,6 +194,18 @@ def test_every_system_has_its_prefix(table):
     assert sheet.fluid.linear_accuracy > 0.0
     strip = Shell(shapes.line((0, 0), (1, 0), elements=4, degree=2), StVenantKirchhoff(1e3, 0.3, 0.1), clamped=("u0",))
     assert strip.solver.options["ksp_type"] == strip.system._recipe.options["ksp_type"] == "fgmres"
+
+
+@pytest.mark.mpi
+def test_options_without_a_prefix_are_for_systems_made_by_hand(table):
+    table(ksp_type="cg", pc_type="jacobi")
+    sheet = sheet_in_flow()
+    for recipe in (duct().system.recipe, sheet.fluid.system.recipe, sheet.shell.system._recipe):
+        assert recipe.is_direct
+    V = compat.lagrange_space(sheet.domain, 1, 3)
+    u = fem.Function(V)
+    system = FiniteElementSystem(ufl.inner(u, ufl.TestFunction(V)) * ufl.dx, u)
+    assert system.recipe.options["ksp_type"] == "cg"
 
 
 @pytest.mark.mpi

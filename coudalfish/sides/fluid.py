@@ -97,8 +97,9 @@ class FluidSubproblem:
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
         recipe = chosen(solver, automatic(size * block, blocked=block > 1), "fluid_")
         self.system = FiniteElementSystem(
-            residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one
-        )
+            residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one,
+            prefix="fluid_",
+        )  # fmt: skip
         self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
         owned = self.system.b.getLocalSize()
         self._is_velocity = np.zeros(owned)
