@@ -12,6 +12,8 @@ from dolfinx import fem
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.run.course import Course
+from tigar_x.run.history import History
+from tigar_x.run.summary import Quantity
 from tigar_x.splines import sampling
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -91,6 +93,19 @@ class Leaflets:
         least = self._contact.kernel.r_max  # at least that far apart are points that do not touch
         nearest = {"smallest_distance": lambda report: min(report.contact.distance, least)}
         return {**every, "contact_pairs": "contact.pairs", "contact_load": "contact.load", **nearest}
+
+
+def quantities(past: History, reversal: float) -> dict[str, Quantity]:
+    """What a run of a valve amounts to: that of its flow rate, largest and last opening, largest load of contact.
+
+    Args:
+        past: history with the columns of :meth:`Leaflets.columns` of leaflets that have contact, and ``flow_rate``.
+        reversal: time at which the pressure is reversed.
+    """
+    opening = past["opening_area"]
+    found = {"largest_opening_area": opening.max(), "final_opening_area": opening[-1]}
+    found |= {"largest_contact_load": past["contact_load"].max(), **flow_through(past.course("flow_rate"), reversal)}
+    return {name: Quantity(float(value)) for name, value in found.items()}
 
 
 def turn(angle: float) -> FloatArray:

@@ -5,6 +5,7 @@ solve. Instead of being solved here, residual, tangent and integrator can be giv
 see :meth:`Shell.bind`.
 """
 
+import logging
 from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,8 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.time_integration import TimeIntegrator
+
+log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     from shnapr.shell.statics import Statics
@@ -189,7 +192,7 @@ class Shell(Scene):
         return resultant(self.spline, self.residual)
 
     def piercings(self) -> int:
-        """Number of places where the shell, a surface with contact, goes through itself at present.
+        """Number of places where the shell, a surface with contact, goes through itself at present; more than 0 warns.
 
         Raises:
             ValueError: it has no contact, whose r_self tells what is far along the surface.
@@ -199,7 +202,10 @@ class Shell(Scene):
         if self.contact is None:
             raise ValueError("contact = None: a shell with contact is required")
         quads, X = compat.subcells(self.spline.V)[1], self.spline.node_positions
-        return piercings(self.positions, quads, X, self.contact.r_self)
+        number = piercings(self.positions, quads, X, self.contact.r_self)
+        if number:
+            log.warning("the shell goes through itself in %d places: reduce dt or refine it", number)
+        return number
 
     def modes(self, count: int, *, shift: float = 0.0, backend: str | None = None) -> "Eigenpairs":
         """Modes of vibration about the present state, and their squared circular frequencies.

@@ -175,6 +175,8 @@ def lines(
         for i, (name, value) in enumerate(marks.items()):
             axes.axhline(value, color="0.4", linestyle=DASHES[i % len(DASHES)], linewidth=0.9, label=name)
         axes.set(**labels, **settings)
+        if axes.get_xscale() == "linear":
+            axes.locator_params(axis="x", nbins=6)  # long numbers would touch each other
         axes.grid(True, linewidth=0.4)
         if any(name and not name.startswith("_") for name in (*courses, *marks)):
             axes.legend(fontsize="small")

@@ -44,9 +44,13 @@ class NamedMesh:
     cell_names: tuple[str, ...] = ()
     inner_facet_names: tuple[str, ...] = ()
 
+    @property
+    def size(self) -> int:
+        """Number of cells on all ranks."""
+        return int(self.domain.topology.index_map(self.domain.topology.dim).size_global)
+
     def __repr__(self) -> str:
-        number = self.domain.topology.index_map(self.domain.topology.dim).size_global
-        parts = [f"{number} {compat.cell_name(self.domain)} cells in {self.domain.geometry.dim}D"]
+        parts = [f"{self.size} {compat.cell_name(self.domain)} cells in {self.domain.geometry.dim}D"]
         parts += [f"facets {', '.join(self.facet_names)}"] if self.facet_names else []
         parts += [f"cells {', '.join(self.cell_names)}"] if self.cell_names else []
         return f"NamedMesh({'; '.join(parts)})"
