@@ -166,3 +166,13 @@ def test_rows_of_a_table_have_as_many_cells_as_its_head(path):
         found = len(re.findall(r"(?<!\\)\|", re.sub(r"`[^`]*`", "", line)))
         cells = cells or found
         assert found == cells, line
+
+
+def test_what_is_said_to_be_of_a_module_is_in_it():
+    """ "`name(...)` of `package.module`"."""
+    of = re.compile(r"`([^`\n]+)` of `(" + DOTTED.pattern + ")`")
+    found = [match for path in DOCUMENTS for match in of.findall(prose(path))]
+    assert len(found) > 30
+    for code, module in found:
+        there = resolved(module)
+        assert any(hasattr(there, word) for word in re.findall(r"[A-Za-z_]\w*", code)), f"{code} of {module}"
