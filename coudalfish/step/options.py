@@ -101,6 +101,9 @@ class CouplingOptions:
     def with_(self, **changes: Any) -> "CouplingOptions":
         """The same options but for some.
 
+        Args:
+            changes: options by name.
+
         Raises:
             TypeError: there is no such option.
             ValueError: an option is out of range.

@@ -272,7 +272,10 @@ class Course:
         return Oscillation(float((top + bottom) / 2.0), float((top - bottom) / 2.0), float(frequency))
 
     def ringing(self, level: float | None = None) -> Ringing:
-        """The oscillation by its whole cycles, see :meth:`cycles`.
+        """The oscillation by its whole cycles.
+
+        Args:
+            level: see :meth:`cycles`.
 
         Raises:
             ValueError: there is no sample.

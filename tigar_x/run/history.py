@@ -55,6 +55,9 @@ class History:
     def read(cls, path: Path | str) -> "History":
         """Read what :class:`tigar_x.run.output.CSVSeries` has written (collective).
 
+        Args:
+            path: of the file.
+
         Raises:
             OSError: on all ranks: the file cannot be read.
             ValueError: on all ranks: it is no history of numbers.
