@@ -2,6 +2,8 @@
 
 import json
 import logging
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +12,8 @@ import pytest
 import ufl
 from mpi4py import MPI
 from dolfinx import fem
+from mpi_runs import outside
+from on_disk import ROOT
 from petsc4py import PETSc
 from scenes import sheet_in_flow
 from test_fallbacks import blocked_matrix, loads, relative_residual
@@ -435,3 +439,22 @@ def test_help_tells_of_them(capsys):
     words = " ".join(capsys.readouterr().out.split())
     assert "Options with one dash are PETSc's" in words
     assert "-shell_ksp_rtol: shells" in words
+
+
+def test_at_the_end_petsc_names_what_no_solver_has_asked_for():
+    """On one rank the options of the only subdomain are asked for by another name, and count."""
+    code = (
+        "from test_fallbacks import blocked_matrix, loads\n"
+        "from tigar_x.fem.linear import PreparedSolver, chosen, gmres_ilu\n"
+        "from tigar_x.run import script\n"
+        "def main(n: int = 3):\n"
+        "    A = blocked_matrix(n=n)\n"
+        "    PreparedSolver(chosen(gmres_ilu(), gmres_ilu(), 'fluid_'), A).solve(*loads(A))\n"
+        "script.command_line(main)\n"
+    )
+    names = ("fluid_ksp_rtoll", "fluid_ksp_rtol", "fluid_sub_pc_factor_levels", "shell_pc_type")
+    given = [word for name, value in zip(names, ("1", "1e-9", "2", "lu"), strict=True) for word in (f"-{name}", value)]
+    env = outside() | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}:{ROOT / 'benchmarks'}"}
+    done = subprocess.run([sys.executable, "-c", code, *given], capture_output=True, text=True, env=env, check=True)
+    left = {word.removeprefix("name:-") for word in done.stdout.split() if word.startswith("name:-")}
+    assert left == {"fluid_ksp_rtoll", "shell_pc_type"}

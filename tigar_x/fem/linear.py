@@ -103,6 +103,8 @@ class PreparedSolver:
         self._prefix = (recipe.prefix or "") if recipe.overrides else f"tigar_x_{next(_prefixes)}_"
         if A.comm.size == 1:
             options = _of_one_rank(options, recipe.overrides)
+        for key in set(recipe.overrides) - {*options, "mat_type"}:  # taken by another name: PETSc would call it unused
+            PETSc.Options(self._prefix).getString(key, "")
         self._options = {self._prefix + key: value for key, value in options.items() if key not in recipe.overrides}
         if recipe.ksp is not None:
             _check_ranks(recipe, A)
