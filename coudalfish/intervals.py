@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from coudalfish.step.report import StepError, StepReport
+from tigar_x import checks
 from tigar_x.fem.cutting import CUT, cut_steps
 from tigar_x.fem.time_integration import TimeIntegrator
 
@@ -39,6 +40,7 @@ def advance(
         StepError: the smallest step failed as well; the state is that of the last good step.
         ValueError: a number is out of range.
     """
+    checks.having("fsi", fsi, "takeStep integrators watch", "CouDALFISh(fluid, shell)")
 
     def tell(error: Exception, size: float) -> None:
         fsi.watch.warn_once("cut", CUT, error, size)

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from dolfinx import fem
 
+from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.ranks import first
@@ -44,6 +45,7 @@ class CoupledState:
     """
 
     def __init__(self, fsi: Coupled, **others: TimeIntegrator) -> None:
+        checks.having("fsi", fsi, "fluid shell spline_sh timeInt_f timeInt_sh lam", "CouDALFISh(fluid, shell)")
         self._fsi = fsi
         if fsi.fluid.moving is not None:
             others["mesh"] = fsi.fluid.moving.time

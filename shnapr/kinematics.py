@@ -9,7 +9,7 @@ from typing import Any
 
 import ufl
 
-from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline, require_spline
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ def midsurface(spline: ExtractedSpline, y: Any = None) -> Midsurface:
     Raises:
         ValueError: the spline is neither a curve in the plane nor a surface in space.
     """
+    require_spline(spline)
     m, nsd = spline.geometry.dim, spline.nsd
     if (m, nsd) not in ((1, 2), (2, 3)):
         raise ValueError(

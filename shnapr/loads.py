@@ -11,7 +11,7 @@ import ufl
 from shnapr.kinematics import area_vector, midsurface
 from tigar_x import checks
 from tigar_x.splines.measures import SideMeasure, require_sides
-from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline, require_spline
 
 
 def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any, thickness: Any) -> ufl.Form:
@@ -30,6 +30,7 @@ def inertia(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any,
     Raises:
         ValueError: a parameter is no number, Constant or UFL scalar, or out of range.
     """
+    require_spline(spline)
     checks.parameter("density", density, checks.not_negative)
     checks.parameter("thickness", thickness, checks.positive)
     R = spline.rationalize
@@ -73,6 +74,7 @@ def dead_load(spline: ExtractedSpline, force: Any, z: Any) -> ufl.Form:
     Raises:
         ValueError: the force has another shape.
     """
+    require_spline(spline)
     return -ufl.inner(checks.vector("force", force, spline.nsd), spline.rationalize(z)) * spline.dx
 
 
@@ -92,6 +94,7 @@ def gravity(spline: ExtractedSpline, acceleration: Any, z: Any, *, density: Any,
     Raises:
         ValueError: the acceleration has another shape, or a parameter is none or out of range.
     """
+    require_spline(spline)
     checks.parameter("density", density, checks.not_negative)
     checks.parameter("thickness", thickness, checks.positive)
     return dead_load(spline, density * thickness * checks.vector("acceleration", acceleration, spline.nsd), z)
@@ -112,6 +115,7 @@ def follower_pressure(spline: ExtractedSpline, pressure: Any, y: Any, z: Any) ->
     Raises:
         ValueError: the pressure is no finite scalar.
     """
+    require_spline(spline)
     checks.parameter("pressure", pressure, checks.finite)
     R = spline.rationalize
     area = area_vector(midsurface(spline, R(y)).tangents) / spline.dx.jacobian
@@ -133,6 +137,7 @@ def edge_traction(spline: ExtractedSpline, traction: Any, z: Any, ds: SideMeasur
     Raises:
         ValueError: the traction has another shape, or the measure is not one of this spline's sides.
     """
+    require_spline(spline)
     require_sides("ds", ds, spline.mesh)
     return -ufl.inner(checks.vector("traction", traction, spline.nsd), spline.rationalize(z)) * ds
 
@@ -157,6 +162,7 @@ def edge_moment(spline: ExtractedSpline, moment: Any, y: Any, z: Any, ds: SideMe
     Raises:
         ValueError: the moment is no finite scalar, or the measure is not one of this spline's sides.
     """
+    require_spline(spline)
     require_sides("ds", ds, spline.mesh)
     checks.parameter("moment", moment, checks.finite)
     current = midsurface(spline, spline.rationalize(y))

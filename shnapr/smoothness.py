@@ -12,16 +12,31 @@ import ufl
 from ufl.algorithms import extract_coefficients
 
 from shnapr.kinematics import Midsurface, midsurface
+from tigar_x import checks
 from tigar_x.geometry.lines import folds
 from tigar_x.geometry.multipatch import MultiPatch, as_multipatch
 from tigar_x.geometry.patch import Patch
-from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline, require_spline
 
 log = logging.getLogger(__name__)
 
 NAMED = 4
 """How many lines a message names."""
 _seen: WeakSet[ExtractedSpline] = WeakSet()
+
+
+def require_kinds(spline: Any, material: Any) -> None:
+    """Refuse what is no spline, and what is no material of shells.
+
+    Args:
+        spline: the midsurface.
+        material: its material.
+
+    Raises:
+        ValueError: one is something else.
+    """
+    require_spline(spline)
+    checks.having("material", material, "energy_density", "a material of shells, such as shnapr's StVenantKirchhoff,")
 
 
 def require_bending(spline: ExtractedSpline, material: Any) -> None:
@@ -37,6 +52,7 @@ def require_bending(spline: ExtractedSpline, material: Any) -> None:
     Raises:
         ValueError: the degree is 1 in all directions, while curvature enters the energy and something is free to move.
     """
+    require_kinds(spline, material)
     if spline in _seen or not isinstance(spline.geometry, Patch | MultiPatch) or not _bends(spline, material):
         return
     geometry, free = as_multipatch(spline.geometry), spline.vector.admissible

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import ufl
 
 from shnapr.kinematics import Midsurface, dual_frame, frame, layer_metric, midsurface
+from shnapr.smoothness import require_kinds
 from shnapr.work import Material, conjugates
 from tigar_x import checks
 from tigar_x.moved import guide
@@ -72,6 +73,7 @@ def resultants(spline: ExtractedSpline, material: Material, y: Any) -> Resultant
     Returns:
         The resultants.
     """
+    require_kinds(spline, material)
     reference, current = midsurface(spline), midsurface(spline, spline.rationalize(y))
     n, m = conjugates(material, reference, current)
     R = frame(current.metric)
@@ -175,6 +177,7 @@ class _Point:
     """
 
     def __init__(self, spline: ExtractedSpline, material: MaterialAtPoint, y: Any, level: Any) -> None:
+        require_kinds(spline, material)
         checks.parameter("level", level, lambda name, value: checks.within(name, value, -1.0, 1.0))
         zeta = level * material.thickness / 2
         reference, current = midsurface(spline), midsurface(spline, spline.rationalize(y))

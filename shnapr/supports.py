@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tigar_x import checks
 from tigar_x.compat import IntArray
 from tigar_x.geometry.multipatch import MultiPatch, as_multipatch, outside
 from tigar_x.geometry.patch import Patch
@@ -78,6 +79,7 @@ def fixed(geometry: Patch | MultiPatch, *, patch: int | None = None) -> IntArray
 def _layers(
     geometry: Patch | MultiPatch, sides: Sequence[str], patch: int | None, layers: int, axes: Sequence[int] | None
 ) -> IntArray:
+    checks.kind("geometry", geometry, Patch | MultiPatch, "a Patch or a MultiPatch")
     if not sides:
         raise ValueError("sides is empty: name at least one edge")
     places = outside(geometry, sides, patch)

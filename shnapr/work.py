@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import ufl
 
 from shnapr.kinematics import Midsurface, midsurface
-from shnapr.smoothness import require_bending
+from shnapr.smoothness import require_bending, require_kinds
 from tigar_x import compat
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -111,6 +111,7 @@ def internal_tangent(spline: ExtractedSpline, material: Material, y: Any, z: Any
     Returns:
         Bilinear form in ``z`` and a trial function of the unknown's space.
     """
+    require_kinds(spline, material)
     current = midsurface(spline, spline.rationalize(y))
     response = _Response(material, midsurface(spline), current)
     test = _Variation(spline, current, z)

@@ -217,6 +217,34 @@ def kind(name: str, value: Any, kinds: Any, wanted: str) -> Any:
     return value
 
 
+def listed(name: str, value: Any) -> Sequence[Any]:
+    """A list or tuple, else ValueError; one text or one object is none.
+
+    Args:
+        name: what messages call it.
+        value: the sequence.
+    """
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"{name} = {value!r}: a list or a tuple is required, such as [{value!r}]")
+    return value
+
+
+def having(name: str, value: Any, names: str, wanted: str) -> None:
+    """Refuse what lacks some attributes, such as a number, or a class instead of an object of it.
+
+    Args:
+        name: what messages call it.
+        value: the object.
+        names: of what it is asked for, with blanks between them.
+        wanted: what messages say is required.
+
+    Raises:
+        ValueError: it lacks one.
+    """
+    if isinstance(value, type) or not all(hasattr(value, needed) for needed in names.split()):
+        raise ValueError(f"{name} = {value!r}: {wanted} is required")
+
+
 def flag(name: str, value: Any) -> bool:
     """True or False, else ValueError."""
     if not isinstance(value, bool | np.bool_):

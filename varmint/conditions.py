@@ -88,7 +88,7 @@ class FlowFields:
 
 
 def _groups(on: str | Sequence[str]) -> tuple[str, ...]:
-    names = (on,) if isinstance(on, str) else tuple(on)
+    names = (on,) if isinstance(on, str) else tuple(checks.listed("on", on))
     if not names:
         raise ValueError("on is empty: the name of a facet group is required")
     return names
@@ -154,6 +154,10 @@ class Velocity(Condition):
 
     value: Data = None
     components: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.components is not None:
+            checks.listed(self._name("components"), self.components)
 
     def is_open(self, fields: FlowFields) -> bool:
         """See :class:`Condition`; without all components the one normal to the facets decides."""

@@ -24,11 +24,17 @@ from varmint.forms.space import split
 
 
 def _velocity(flow: Flow) -> Any:
-    return split(flow.w)[0]
+    return split(_flow(flow).w)[0]
+
+
+def _flow(flow: Any) -> Flow:
+    """The argument, if it is a flow, else ValueError."""
+    checked: Flow = checks.kind("flow", flow, Flow, "a Flow")
+    return checked
 
 
 def _in_fluid(flow: Flow, integrand: Any) -> ufl.Form:
-    cells = flow.fluid_cells
+    cells = _flow(flow).fluid_cells
     return ale.per_volume(integrand, flow.fields.motion_end) * flow.mesh.dx(*cells, degree=flow.fields.degree + 1)
 
 
@@ -39,7 +45,7 @@ def flow_rate(flow: Flow, *names: str) -> ufl.Form:
         flow: the flow.
         names: facet groups.
     """
-    domain, motion = flow.mesh.domain, flow.fields.motion_end
+    domain, motion = _flow(flow).mesh.domain, flow.fields.motion_end
     flux = ufl.dot(_velocity(flow), ale.normal(domain, motion))
     return ale.per_area(flux, domain, motion) * flow.mesh.ds(*names, degree=flow.fields.degree)
 
@@ -54,7 +60,7 @@ def outlet(flow: Flow, name: str) -> OutletPressure:
     Raises:
         ValueError: there is no such outlet.
     """
-    outlets = {group: one for one in flow.rank_one for group in one.groups}
+    outlets = {group: one for one in _flow(flow).rank_one for group in one.groups}
     return outlets[checks.choice("name", name, tuple(outlets))]
 
 
@@ -65,7 +71,7 @@ def area(flow: Flow, *names: str) -> ufl.Form:
         flow: the flow.
         names: facet groups.
     """
-    domain = flow.mesh.domain
+    domain = _flow(flow).mesh.domain
     one = compat.Constant(domain, 1.0)
     return ale.per_area(one, domain, flow.fields.motion_end) * flow.mesh.ds(*names, degree=flow.fields.degree)
 
@@ -76,7 +82,7 @@ def volume(flow: Flow) -> ufl.Form:
     Args:
         flow: the flow.
     """
-    return _in_fluid(flow, compat.Constant(flow.mesh.domain, 1.0))
+    return _in_fluid(flow, compat.Constant(_flow(flow).mesh.domain, 1.0))
 
 
 def kinetic_energy(flow: Flow) -> ufl.Form:
@@ -142,7 +148,7 @@ class BoundaryForce:
     """
 
     def __init__(self, flow: Flow, *names: str) -> None:
-        self._d = flow.mesh.domain.geometry.dim
+        self._d = _flow(flow).mesh.domain.geometry.dim
         terms = []
         for groups, form in flow.terms:
             inside = [name in names for name in groups]
@@ -188,7 +194,7 @@ class PointValues:
     """
 
     def __init__(self, flow: Flow, points: Sequence[Sequence[float]] | FloatArray) -> None:
-        d = flow.mesh.domain.geometry.dim
+        d = _flow(flow).mesh.domain.geometry.dim
         self._function = flow.w
         self._comm = flow.mesh.domain.comm
         self.points = checks.array("points", points, (None, d))
@@ -229,7 +235,7 @@ class NodalField:
     """
 
     def __init__(self, flow: Flow, name: str, expression: Any, measure: ufl.Measure, weight: Any = 1.0) -> None:
-        checks.measure("measure", measure, flow.mesh.domain, "cell", "exterior_facet")
+        checks.measure("measure", measure, _flow(flow).mesh.domain, "cell", "exterior_facet")
         shape = expression.ufl_shape
         V = compat.lagrange_space(flow.mesh.domain, 1, shape[0] if shape else 1)
         self.field = fem.Function(V, name=name)
@@ -259,7 +265,7 @@ def vorticity(flow: Flow) -> NodalField:
     Args:
         flow: the flow.
     """
-    motion = flow.fields.motion_end
+    motion = _flow(flow).fields.motion_end
     g = ale.gradient(_velocity(flow), motion)
     if flow.mesh.domain.geometry.dim == 2:
         curl: Any = g[1, 0] - g[0, 1]

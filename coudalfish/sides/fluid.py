@@ -72,12 +72,22 @@ class FluidSubproblem:
         viscosity: float | None = None,
         mesh_size: float | None = None,
     ) -> None:
+        checks.kind("mesh_f", mesh_f, mesh.Mesh, "a mesh of dolfinx, such as the domain of a NamedMesh,")
+        checks.kind("residual_f", residual_f, ufl.Form, "a form, such as the residual of a flow,")
+        checks.kind("timeInt_f", timeInt_f, TimeIntegrator, "the TimeIntegrator of an unsteady flow")
+        for name, hooks in (("bcs", bcs), ("updates", updates), ("before", before), ("rank_one", rank_one)):
+            checks.listed(name, hooks)
         self.mesh = mesh_f
         self.comm = mesh_f.comm
         self.timeInt = timeInt_f
         self.band = band
         self.moving = moving
+        if band is not None:
+            checks.kind("band", band, SurfaceBand, "a SurfaceBand")
         if moving is not None:
+            checks.having(
+                "moving", moving, "time degree move check", "the motion of a mesh, such as a PrescribedMotion,"
+            )
             check_displacement(moving, mesh_f)
         self.updates = tuple(updates)
         self.density = None if density is None else checks.positive("density", density)
@@ -87,8 +97,8 @@ class FluidSubproblem:
             raise ValueError(f"the fluid unknown has shape {timeInt_f.x.ufl_shape}: ({d + 1},) is required")
         check_residual(residual_f, timeInt_f, mesh_f)
         check_band(residual_f, band)
-        hooks: Any = {"updates": updates, "before": before, "rank_one": rank_one, "bcs": bcs}
-        check_needs(timeInt_f, band=band, moving=moving, solver=solver, density=density, viscosity=viscosity, **hooks)
+        given: Any = {"updates": updates, "before": before, "rank_one": rank_one, "bcs": bcs}
+        check_needs(timeInt_f, band=band, moving=moving, solver=solver, density=density, viscosity=viscosity, **given)
         components = [compat.component_space(V, i) for i in range(d)]
         self.velocity_space = components[0][0]
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])

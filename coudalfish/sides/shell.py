@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 from coudalfish.sides.handover import check_residual
 from coudalfish.surface.sheets import Normals, Sheets
+from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -58,6 +59,12 @@ class ShellSubproblem:
         updates: Sequence[Callable[[float], None]] = (),
         contact: "SelfContact | None" = None,
     ) -> None:
+        checks.kind("spline_sh", spline_sh, ExtractedSpline, "ExtractedSpline(patch, MPI.COMM_SELF)")
+        checks.kind("residual_sh", residual_sh, ufl.Form, "a form, such as the residual of a shell,")
+        checks.kind("timeInt_sh", timeInt_sh, TimeIntegrator, "a TimeIntegrator of the displacement")
+        checks.listed("updates", updates)
+        if contact is not None:
+            checks.having("contact", contact, "evaluate quadrature", "a SelfContact")
         check_residual(residual_sh, timeInt_sh, spline_sh.mesh)
         self.spline = spline_sh
         self.timeInt = timeInt_sh

@@ -29,6 +29,7 @@ class SurfaceBand:
     """
 
     def __init__(self, mesh_f: mesh.Mesh, scales: tuple[fem.Function, fem.Function] | None = None) -> None:
+        checks.kind("mesh_f", mesh_f, mesh.Mesh, "a mesh of dolfinx, such as the domain of a NamedMesh,")
         if scales is None:
             cells = compat.lagrange_space(mesh_f, 0)
             scales = BandScale(cells, name="scale_m"), BandScale(cells, name="scale_c")

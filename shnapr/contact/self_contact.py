@@ -100,6 +100,8 @@ class SelfContact:
     def __init__(
         self, quadrature: NodalQuadrature, kernel: Kernel, r_self: float, *, neighbours: Neighbours = "surface"
     ) -> None:
+        checks.kind("quadrature", quadrature, NodalQuadrature, "NodalQuadrature.of(spline)")
+        checks.having("kernel", kernel, "r_max", "a kernel, such as LinearKernel(r_max, stiffness),")
         points = checks.array("quadrature.points", quadrature.points, (None, None))
         n, d = points.shape
         if d not in (2, 3):

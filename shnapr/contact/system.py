@@ -7,6 +7,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from shnapr.contact.self_contact import ContactForces, SelfContact
+from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver, SolveError
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -49,6 +50,7 @@ class ContactSystem(SplineSystem):
         solver: LinearSolver | PETSc.KSP | None = None,
         prefix: str = "",
     ) -> None:
+        checks.having("contact", contact, "evaluate quadrature", "a SelfContact")
         super().__init__(spline, residual, tangent, solver, unknown=unknown, prefix=prefix)
         self.contact = contact
         self._spline = spline

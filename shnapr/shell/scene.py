@@ -17,12 +17,12 @@ from shnapr.shell.dynamics import check_binding
 from shnapr.shell.equations import Displacements
 from shnapr.shell.options import ShellOptions
 from shnapr.shell.quantities import Places, field_of
-from shnapr.shell.supported import having, listed, supported
+from shnapr.shell.supported import supported
 from shnapr.work import Material
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver, chosen, direct
-from tigar_x.fem.schemes import Scheme, companion, generalized_alpha
+from tigar_x.fem.schemes import Scheme, companion, generalized_alpha, require_scheme
 from tigar_x.fem.time_integration import LoadStepper, TimeIntegrator
 from tigar_x.geometry.multipatch import MultiPatch
 from tigar_x.geometry.patch import Patch
@@ -75,11 +75,16 @@ class Scene:
     ) -> None:
         if density is not None:
             checks.parameter("density", density, checks.not_negative)
-        having("material", material, "energy_density", "a material, such as shnapr's StVenantKirchhoff")
-        for i, load in enumerate(listed("loads", loads)):
-            having(f"loads[{i}]", load, "term", "a load, such as shnapr's Pressure(1.0)")
+        checks.having("material", material, "energy_density", "a material, such as shnapr's StVenantKirchhoff")
+        for i, load in enumerate(checks.listed("loads", loads)):
+            checks.having(f"loads[{i}]", load, "term", "a load, such as shnapr's Pressure(1.0)")
         if contact is not None:
-            having("contact", contact, "of", "a recipe, such as shnapr's ContactRecipe(kernel, r_self)")
+            checks.having("contact", contact, "of", "a recipe, such as shnapr's ContactRecipe(kernel, r_self)")
+        checks.listed("updates", updates)
+        if scheme is not None:
+            require_scheme("scheme", scheme)
+        if options is not None:
+            checks.kind("options", options, ShellOptions, "a ShellOptions")
         if dt is None and scheme is not None:
             raise ValueError("dt = None with a scheme: a time step is required, or neither")
         is_mixed = checks.choice("formulation", formulation, ("displacement", "mixed")) == "mixed"

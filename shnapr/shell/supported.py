@@ -1,7 +1,6 @@
-"""The spline of a shell, with its supports by name, and checks of what else a shell is made of."""
+"""The spline of a shell, with its supports by name."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,7 +48,7 @@ def supported(
         return geometry
     checks.kind("geometry", geometry, Patch | MultiPatch, "a Patch, a MultiPatch or an ExtractedSpline")
     for name, sides, hold in (("clamped", clamped, supports.clamped), ("pinned", pinned, supports.pinned)):
-        if listed(name, sides):
+        if checks.listed(name, sides):
             held.append(hold(geometry, *sides))
     whole = [part for part in held if len(part)]
     return ExtractedSpline(
@@ -59,31 +58,3 @@ def supported(
         zero_dofs=np.concatenate(whole) if whole else (),
         constraints=constraints,
     )
-
-
-def listed(name: str, value: Any) -> Sequence[Any]:
-    """A list or tuple, else ValueError; one text or one load is none.
-
-    Args:
-        name: what messages call it.
-        value: the sequence.
-    """
-    if not isinstance(value, list | tuple):
-        raise ValueError(f"{name} = {value!r}: a list or a tuple is required, such as [{value!r}]")
-    return value
-
-
-def having(name: str, value: Any, method: str, wanted: str) -> None:
-    """Refuse what lacks a method, such as a number or a class instead of an object of it.
-
-    Args:
-        name: what messages call it.
-        value: the object.
-        method: what it is asked for.
-        wanted: what messages say is required.
-
-    Raises:
-        ValueError: it lacks it.
-    """
-    if isinstance(value, type) or not callable(getattr(value, method, None)):
-        raise ValueError(f"{name} = {value!r}: {wanted} is required")

@@ -115,6 +115,7 @@ def eigenmodes(
         ValueError: an argument is out of range.
         SolveError: see :func:`eigenpairs`.
     """
+    checks.having("space", space, "V M zero_dofs", "an ExtractedSpline, or a space on one,")
     given = space.zero_dofs if zero_dofs is None else zero_dofs
     zero = checks.indices("zero_dofs", given, space.M.size[1]).ravel()
     first, last = space.M.getOwnershipRangeColumn()

@@ -145,6 +145,8 @@ def follow_load(
         ValueError: ``until`` lies behind the present pseudo-time.
         SolveError: a step failed that would be too small if cut; the state is that of the last converged step, exactly.
     """
+    checks.having("system", system, "assemble_residual", "a system, such as SplineSystem(spline, residual, tangent),")
+    checks.kind("stepper", stepper, LoadStepper, "a LoadStepper")
     control = StepControl() if control is None else control
     if checks.finite("until", until) < stepper.time:
         raise ValueError(f"until = {until}: a number >= the present pseudo-time {stepper.time} is required")

@@ -5,6 +5,7 @@ doi:10.1115/1.2900803 (second order). :mod:`tigar_x.fem.time_integration` has th
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 from tigar_x import checks
 
@@ -32,6 +33,19 @@ class Scheme:
     a2: float = 0.0
     b0: float = 0.0
     b1: float = 0.0
+
+
+def require_scheme(name: str, value: Any) -> None:
+    """Refuse what is no scheme.
+
+    Args:
+        name: what messages call it.
+        value: the scheme.
+
+    Raises:
+        ValueError: it is something else, such as a number or a function that makes schemes.
+    """
+    checks.kind(name, value, Scheme, "a scheme, such as generalized_alpha(0.5),")
 
 
 def generalized_alpha(rho_infinity: float, order: int = 1, *, first_order_alpha_m: bool = False) -> Scheme:
@@ -92,6 +106,7 @@ def companion(scheme: Scheme) -> Scheme:
     Raises:
         ValueError: the scheme has another order.
     """
+    require_scheme("scheme", scheme)
     checks.choice("order of scheme", scheme.order, (1,))
     if scheme.alpha_f == scheme.alpha_m == 1.0:
         return backward_euler(2)

@@ -66,6 +66,7 @@ class FiniteElementSystem:
     ) -> None:
         checks.kind("residual", residual, ufl.Form, "a form, and then the unknown")
         checks.kind("x", x, fem.Function, "the unknown function, after the residual")
+        checks.listed("bcs", bcs)
         compat.free_dropped(x.function_space.mesh.comm)
         self.x = x
         self.bcs = tuple(bcs)

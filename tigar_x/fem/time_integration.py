@@ -20,7 +20,7 @@ from dolfinx import fem
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem.schemes import Scheme
+from tigar_x.fem.schemes import Scheme, require_scheme
 
 
 class TimeIntegrator:
@@ -66,8 +66,9 @@ class TimeIntegrator:
         xddot: fem.Function | None = None,
         algebraic: Sequence[int] = (),
     ) -> None:
+        require_scheme("scheme", scheme)
         self.scheme = scheme
-        self.x = x
+        self.x = checks.kind("x", x, fem.Function, "the unknown function")
         V = x.function_space
         self.x_old = fem.Function(V, name=f"{x.name}_old")
         self.xdot_old = fem.Function(V, name=f"{x.name}_dot_old")
@@ -317,7 +318,7 @@ class LoadStepper:
     """
 
     def __init__(self, x: fem.Function, dt: float, *, t: float = 0.0) -> None:
-        self.x = x
+        self.x = checks.kind("x", x, fem.Function, "the unknown function")
         self._dt = checks.positive("dt", dt)
         self._t_n = checks.finite("t", t)
         self.t = compat.Constant(x.function_space.mesh, self._t_n + self._dt)

@@ -97,6 +97,7 @@ def write_patch(path: Path | str, patch: Patch) -> None:
         ValueError: the patch is periodic.
         OSError: on all ranks: the file cannot be written.
     """
+    checks.kind("patch", patch, Patch, "a Patch")
     if any(basis.periodic for basis in patch.bases):
         raise ValueError("patch is periodic: one that is open in every direction is required")
     header = [[patch.nsd], patch.basis.degrees, [basis.n for basis in patch.bases]]

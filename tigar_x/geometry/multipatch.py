@@ -34,6 +34,8 @@ class MultiPatch(ControlNet):
     def __post_init__(self) -> None:
         if not self.patches:
             raise ValueError("patches is empty: one patch or more is required")
+        for i, patch in enumerate(self.patches):
+            checks.kind(f"patches[{i}]", patch, Patch, "a Patch")
         for name in ("dim", "nsd"):
             found = sorted({getattr(patch, name) for patch in self.patches})
             if len(found) > 1:

@@ -71,6 +71,7 @@ class Study:
 
     def __post_init__(self) -> None:
         checks.whole("last", self.last, 2)
+        checks.listed("levels", self.levels)
         if len(self.levels) < 2:
             raise ValueError(f"levels has {len(self.levels)} entries: two or more are required")
 

@@ -93,6 +93,7 @@ class XDMFSeries(Series):
     """
 
     def __init__(self, path: Path | str, domain: mesh.Mesh, **fields: Components) -> None:
+        checks.kind("domain", domain, mesh.Mesh, "a mesh of dolfinx")
         target = Path(path)
         if target.suffix != ".xdmf":
             raise ValueError(f"path = {str(path)!r}: a name that ends in .xdmf is required")
@@ -134,6 +135,7 @@ class CSVSeries(Series):
     """
 
     def __init__(self, path: Path | str, columns: Sequence[str], *, after: float | None = None) -> None:
+        checks.listed("columns", columns)
         self._columns = tuple(checks.label("column", name) for name in columns)
         if twice := [name for i, name in enumerate(self._columns) if name in ("t", *self._columns[:i])]:
             raise ValueError(f"columns = {self._columns}: {twice[0]!r} is there twice (the first is 't')")

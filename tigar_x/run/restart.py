@@ -144,6 +144,7 @@ class Restart:
         keep: int = 2,
         inputs: Mapping[str, Any] | None = None,
     ) -> None:
+        checks.having("state", state, "fields settings time record check", "Integrators, CoupledState or the like")
         self.every = checks.whole("every", every, 0)
         self.state = state
         self.inputs = plain(dict(inputs or {}))

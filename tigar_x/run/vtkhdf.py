@@ -62,6 +62,7 @@ class VTKHDFSeries(Series):
         single: bool = False,
         **fields: Components,
     ) -> None:
+        checks.kind("domain", domain, mesh.Mesh, "a mesh of dolfinx")
         self._path, self._comm = Path(path), domain.comm
         if self._path.suffix != ".vtkhdf":
             raise ValueError(f"path = {str(path)!r}: a name that ends in .vtkhdf is required")

@@ -6,7 +6,7 @@ import numpy as np
 
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline, require_spline
 
 NEGATIVE = 2e-2
 """Part of the largest weight by which others may be negative: at poles they are by less, on triangles by more."""
@@ -47,6 +47,7 @@ class NodalQuadrature:
             ValueError: the spline is distributed, or weights are negative by more than rounding and poles, as on
                 triangles.
         """
+        require_spline(spline)
         if spline.mesh.comm.size > 1:
             raise ValueError(f"spline lives on {spline.mesh.comm.size} ranks: nodal quadrature needs MPI.COMM_SELF")
         weights = spline.node_areas

@@ -73,7 +73,8 @@ class ExtractedSpline:
         zero_dofs: ArrayLike | Sequence[int] = (),
         constraints: Sequence[sp.spmatrix] = (),
     ) -> None:
-        self.geometry = geometry
+        self.geometry = checks.kind("geometry", geometry, ControlNet, "a Patch, a MultiPatch or a saved geometry")
+        checks.kind("comm", comm, MPI.Comm, "a communicator, such as MPI.COMM_SELF,")
         self.cells = cells
         self.dim, self.nsd = geometry.dim, geometry.nsd
         chosen = 2 * max(geometry.functions.degrees) if quadrature_degree is None else quadrature_degree
@@ -330,3 +331,15 @@ class ExtractedSpline:
     def lumped_projector(self) -> LumpedProjector:
         """The cheap projection of vector fields with a diagonal mass matrix."""
         return LumpedProjector(self, self.nsd)
+
+
+def require_spline(spline: Any) -> None:
+    """Refuse what is no spline that forms and systems may be built on.
+
+    Args:
+        spline: the argument of that name.
+
+    Raises:
+        ValueError: it is something else, such as its geometry.
+    """
+    checks.kind("spline", spline, ExtractedSpline, "ExtractedSpline(patch, comm)")

@@ -46,6 +46,7 @@ class SplineSystem:
         zero_dofs: ArrayLike | None = None,
         prefix: str = "",
     ) -> None:
+        checks.having("space", space, "V M", "an ExtractedSpline, or a space on one,")
         checks.kind("residual", residual, ufl.Form, "a form, after the space")
         checks.kind("tangent", tangent, ufl.Form, "a form, after the space and the residual")
         compat.free_dropped(space.V.mesh.comm)

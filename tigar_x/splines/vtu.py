@@ -15,7 +15,7 @@ from tigar_x.compat import FloatArray
 from tigar_x.ranks import gathered, on_root
 from tigar_x.run.output import Series, check_writable, is_later
 from tigar_x.run.writing import replace_text
-from tigar_x.splines.spline import ExtractedSpline
+from tigar_x.splines.spline import ExtractedSpline, require_spline
 
 
 def _in_xml(text: str) -> str:
@@ -54,6 +54,7 @@ class VTUSeries(Series):
         after: float | None = None,
         **fields: fem.Function | Callable[[], FloatArray],
     ) -> None:
+        require_spline(spline)
         self._path = Path(path)
         self._spline = spline
         self._comm = spline.mesh.comm

@@ -7,11 +7,38 @@ import numpy as np
 from mpi4py import MPI
 
 from tigar_x import checks, compat
-from tigar_x.fem.schemes import Scheme, companion
+from tigar_x.fem.schemes import Scheme, companion, require_scheme
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Condition
-from varmint.forms.motion import ElasticMotion
-from varmint.mesh.named import NamedMesh
+from varmint.flow.options import FlowOptions
+from varmint.forms.motion import ElasticMotion, MeshMotion
+from varmint.forms.solids import Solid
+from varmint.mesh.named import NamedMesh, require_named
+
+
+def check_kinds(mesh: Any, conditions: Any, scheme: Any, moving: Any, solid: Any, options: Any) -> None:
+    """Check that the parts of a flow are what they should be.
+
+    Args:
+        mesh: mesh with names.
+        conditions: conditions on facet groups.
+        scheme: of time integration.
+        moving: motion of the mesh; None: it is fixed.
+        solid: solid in the flow; None: none.
+        options: how the flow is discretised.
+
+    Raises:
+        ValueError: one is something else, such as a mesh of dolfinx, or a class instead of an object of it.
+    """
+    require_named(mesh)
+    for i, condition in enumerate(checks.listed("conditions", conditions)):
+        checks.kind(f"conditions[{i}]", condition, Condition, "a condition, such as Velocity('walls'),")
+    require_scheme("scheme", scheme)
+    if moving is not None:
+        checks.kind("moving", moving, MeshMotion, "a PrescribedMotion or an ElasticMotion of the mesh")
+    if solid is not None:
+        checks.kind("solid", solid, Solid, "a Solid, such as Solid(NeoHookeanSolid(E, nu, density)),")
+    checks.kind("options", options, FlowOptions, "FlowOptions")
 
 
 def check_numbers(rho: Any, mu: Any, dt: Any, scheme: Scheme, moving: Any, solid: Any) -> None:

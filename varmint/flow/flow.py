@@ -19,7 +19,7 @@ from tigar_x.fem.schemes import Scheme, generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
 from varmint.conditions import Condition, Data
 from varmint.flow.attachments import OutletPressure, SolidInFlow
-from varmint.flow.checks import check_clock, check_cover, check_numbers
+from varmint.flow.checks import check_clock, check_cover, check_kinds, check_numbers
 from varmint.flow.options import (
     STALLED,
     STEADY_LINEAR_RTOL,
@@ -54,7 +54,7 @@ class Flow:
 
     Args:
         mesh: mesh.
-        conditions: conditions on facet groups; every boundary facet needs one.
+        conditions: conditions on facet groups, or the only one; every boundary facet needs one.
         rho: density > 0, a number or Constant; unit: mass/volume.
         mu: dynamic viscosity >= 0 (> 0 in steady flow), a number or Constant.
         degree: polynomial degree k of velocity and pressure.
@@ -90,7 +90,7 @@ class Flow:
     def __init__(
         self,
         mesh: NamedMesh,
-        conditions: Sequence[Condition],
+        conditions: Condition | Sequence[Condition],
         *,
         rho: Any,
         mu: Any,
@@ -105,6 +105,8 @@ class Flow:
     ) -> None:
         self.options = FlowOptions() if options is None else options
         scheme = generalized_alpha(0.5) if scheme is None else scheme
+        conditions = (conditions,) if isinstance(conditions, Condition) else conditions
+        check_kinds(mesh, conditions, scheme, moving, solid, self.options)
         check_numbers(rho, mu, dt, scheme, moving, solid)
         check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving

@@ -22,7 +22,7 @@ from tigar_x.fem.solve import FiniteElementSystem, newton
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.forms.ale import Motion
 from varmint.forms.solids import mesh_residual
-from varmint.mesh.named import NamedMesh
+from varmint.mesh.named import NamedMesh, require_named
 
 Displacement = Callable[[Any, Any], Any]
 """Displacement as UFL vector, from the coordinates at rest and the time."""
@@ -56,6 +56,7 @@ class MeshMotion:
     """
 
     def __init__(self, mesh: NamedMesh, dt: float, scheme: Scheme, degree: int = 1) -> None:
+        require_named(mesh)
         domain = mesh.domain
         self.mesh = mesh
         V = compat.lagrange_space(domain, checks.whole("degree", degree, 1), domain.geometry.dim)
@@ -189,7 +190,8 @@ class ElasticMotion(MeshMotion):
         solver: LinearSolver | PETSc.KSP | None = None,
     ) -> None:
         super().__init__(mesh, dt, scheme, degree)
-        self.cells = tuple(cells)
+        checks.kind("displacements", displacements, Mapping, "a mapping from facet groups, such as {'walls': None},")
+        self.cells = tuple(checks.listed("cells", cells))
         self._rtol = checks.positive("rtol", rtol)
         exponents = {"stiffening": stiffening, "size_stiffening": size_stiffening}
         for name, value in exponents.items():

@@ -150,6 +150,9 @@ class Solid:
     material: SolidMaterial
     on: str | tuple[str, ...] = "solid"
 
+    def __post_init__(self) -> None:
+        checks.kind("material", self.material, _Elastic, "a StVenantKirchhoffSolid or a NeoHookeanSolid")
+
     @property
     def groups(self) -> tuple[str, ...]:
         """Names of the cell groups."""

@@ -139,6 +139,7 @@ def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays]) -> NamedMesh:
         ValueError: on all ranks: see :func:`varmint.mesh.checks.checked_arrays`. What else ``make`` raises, all ranks
             raise as well.
     """
+    checks.kind("comm", comm, MPI.Comm, "a communicator, such as MPI.COMM_WORLD,")
     arrays = on_root(comm, lambda: checked_arrays(make()))
     cell, facets, groups = comm.bcast(arrays and (arrays.cell, arrays.facets, arrays.cell_groups))
     dim = DIMENSIONS[cell]

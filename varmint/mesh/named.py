@@ -112,6 +112,18 @@ class NamedMesh:
         return kind(domain=self.domain, subdomain_data=data, subdomain_id=tags, metadata=metadata)
 
 
+def require_named(mesh: Any) -> None:
+    """Refuse what is no mesh with names.
+
+    Args:
+        mesh: the argument of that name.
+
+    Raises:
+        ValueError: it is something else, such as a mesh of dolfinx.
+    """
+    checks.kind("mesh", mesh, NamedMesh, "a NamedMesh, such as varmint.named(mesh, left=lambda x: x[0] < 1e-9),")
+
+
 def named(
     domain: mesh.Mesh,
     *,
@@ -132,6 +144,7 @@ def named(
     Raises:
         ValueError: no part is named, a part is empty on all ranks, or two parts share a facet or a cell.
     """
+    checks.kind("domain", domain, mesh.Mesh, "a mesh of dolfinx")
     if not facets and not cells:
         raise ValueError("parts is empty: name at least one part of the boundary or of the mesh")
     dim = domain.topology.dim
@@ -202,8 +215,10 @@ def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None) ->
     Raises:
         ValueError: another number of axes or cell, or coordinates that do not increase.
     """
+    checks.listed("lines", lines)
     dim = checks.choice("number of axes in lines", len(lines), (2, 3))
     kind = getattr(mesh.CellType, checks.choice("cell", CELLS[dim][0] if cell is None else cell, CELLS[dim]))
+    checks.kind("comm", comm, MPI.Comm, "a communicator, such as MPI.COMM_WORLD,")
     axes = [checks.array(f"lines[{i}]", line, (None,)) for i, line in enumerate(lines)]
     for i, line in enumerate(axes):
         if len(line) < 2 or not (np.diff(line) > 0.0).all():
@@ -275,5 +290,7 @@ def _chosen(tags: Any, values: Sequence[int]) -> IntArray:
 
 def _located(domain: mesh.Mesh, dim: int, where: Predicate | Sequence[Predicate]) -> IntArray:
     predicates = [where] if callable(where) else where
+    if not isinstance(predicates, list | tuple) or not all(map(callable, predicates)):
+        raise ValueError(f"part = {where!r}: a function of coordinates, or several, is required")
     found = [mesh.locate_entities(domain, dim, predicate) for predicate in predicates]
     return np.unique(np.concatenate(found)).astype(np.int32)
