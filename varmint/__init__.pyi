@@ -12,7 +12,11 @@ from varmint.flow.options import FlowReport as FlowReport
 from varmint.forms.motion import ElasticMotion as ElasticMotion
 from varmint.forms.motion import MeshInversionError as MeshInversionError
 from varmint.forms.motion import PrescribedMotion as PrescribedMotion
+from varmint.forms.solids import NeoHookeanSolid as NeoHookeanSolid
+from varmint.forms.solids import Solid as Solid
+from varmint.forms.solids import StVenantKirchhoffSolid as StVenantKirchhoffSolid
 from varmint.mesh.aorta import aortic_root as aortic_root
+from varmint.mesh.files import read_mesh as read_mesh
 from varmint.mesh.models import channel_with_cylinder as channel_with_cylinder
 from varmint.mesh.models import from_gmsh as from_gmsh
 from varmint.mesh.named import NamedMesh as NamedMesh
@@ -20,7 +24,12 @@ from varmint.mesh.named import box as box
 from varmint.mesh.named import grid as grid
 from varmint.mesh.named import named as named
 from varmint.quantities import BoundaryForce as BoundaryForce
+from varmint.quantities import Measured as Measured
 from varmint.quantities import NodalField as NodalField
 from varmint.quantities import PointValues as PointValues
+from varmint.quantities import flow_rate as flow_rate
+from varmint.quantities import kinetic_energy as kinetic_energy
+from varmint.quantities import vorticity as vorticity
+from varmint.quantities import wall_shear_stress as wall_shear_stress
 
 __version__: str

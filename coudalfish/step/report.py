@@ -8,14 +8,14 @@ from coudalfish.surface.monitors import Monitors
 
 @dataclass(frozen=True)
 class ContactReport:
-    """Contact at the end of a step, at its intermediate level.
+    """Contact of an accepted step, at the time ``t_alpha`` of its report.
 
     Attributes:
         pairs: number of interacting pairs of points.
         load: sum of the forces between them without regard to direction; unit: force.
         energy: of the potential; unit: energy.
         distance: smallest distance of an interacting pair, inf without any; unit: length.
-        closing_ratio: largest approach in the step of two points that may interact, relative to the range of contact.
+        closing_ratio: largest approach in the whole step of two points that may interact, relative to the range of contact.
     """
 
     pairs: int
@@ -30,18 +30,20 @@ class StepReport:
     """What a step did.
 
     Attributes:
-        t: time at its end, to which velocities and displacements belong.
-        t_alpha: time at which the equations hold, to which pressures, multiplier, slip, forces and contact belong.
+        t: time at its end, to which velocities and displacements belong: those of the fluid and of the shell, and what
+            is written of them.
+        t_alpha: time at which the equations hold, to which pressures, multiplier, slip, forces and contact belong: all
+            of ``monitors`` and ``contact``.
         attempts: 1, or 2 when the step converged only under-relaxed.
         passes: block passes of the last attempt, each one solve of the fluid and one of the shell.
         residuals: norms (fluid, shell) of every test; unit: force.
         linear_iterations: iterations of the fluid's linear solver in all passes.
         penalty: beta.
         inactive_points: immersed points outside the fluid mesh.
-        slip_ratio: ``max|lam| dt/(beta h)``.
-        monitors: slip, leak and balance; None when the step failed.
-        contact: None when the step failed or the shell has no contact.
-        measured: what the step's ``measure`` returned.
+        slip_ratio: ``max|lam| dt/(beta h)``, at ``t_alpha``.
+        monitors: slip, leak, force and its balance, at ``t_alpha``; None when the step failed.
+        contact: at ``t_alpha``; None when the step failed or the shell has no contact.
+        measured: what the step's ``measure`` returned, which was called with the state at ``t``.
     """
 
     t: float

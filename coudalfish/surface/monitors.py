@@ -9,14 +9,16 @@ from tigar_x.compat import FloatArray
 
 @dataclass(frozen=True)
 class Monitors:
-    """Figures of one accepted step, at the time ``t_alpha`` of its report.
+    """Figures of one accepted step, all at the time ``t_alpha`` of its report, at which its equations hold.
+
+    A history of them has that time as its abscissa; displacements and velocities belong to ``t``.
 
     Attributes:
         normal_slip_rms: root mean square of (u - y').n over the active surface, by reference areas; unit: length/time.
         normal_slip_max: its largest absolute value.
         leak: net volume through the surface per time, ``int (u - y').n`` over its present area; positive along the
             normals of the patches as they are parametrised; unit: length^d/time.
-        force: force of the fluid on the shell, components.
+        force: force of the fluid on the shell, components, the one that moved the shell in this step; unit: force.
         force_imbalance: difference between the force taken from the fluid and the force given to the shell, relative
             to the sum of absolute point forces.
     """

@@ -61,8 +61,8 @@ class ShellReport:
     """What a step did.
 
     Attributes:
-        t: end of the step.
-        t_alpha: time at which the equations hold, to which forces belong; positions belong to the end.
+        t: end of the step, to which positions and velocities belong.
+        t_alpha: time at which the equations hold, to which forces of supports and contact belong.
         residuals: norms of the residual, from the first to the accepted one; unit: force.
         tangents: number of tangents that were assembled.
         measured: what the step's ``measure`` returned.

@@ -93,12 +93,13 @@ class FlowReport:
     """What a step or a steady solve did.
 
     Attributes:
-        t: end of the step; 0 in steady flow.
+        t: end of the step, to which velocities belong; 0 in steady flow.
         residuals: norms of the residual, from the first to the accepted one.
         linear_iterations: iterations of the linear solver in all.
         tangents: number of tangents that were assembled.
-        measured: what the step's ``measure`` returned.
-        t_alpha: time at which the equations hold, to which pressures and forces belong; velocities belong to the end.
+        measured: what the step's ``measure`` returned, which was called with the state at ``t``; forces from the
+            equations, as of :class:`varmint.quantities.BoundaryForce`, are those at ``t_alpha``.
+        t_alpha: time at which the equations hold, to which pressures and forces belong.
     """
 
     t: float
