@@ -15,7 +15,8 @@ class ContactReport:
         load: sum of the forces between them without regard to direction; unit: force.
         energy: of the potential; unit: energy.
         distance: smallest distance of an interacting pair, inf without any; unit: length.
-        closing_ratio: largest approach in the whole step of two points that may interact, relative to the range of contact.
+        closing_ratio: largest approach in the whole step of two points that may interact, relative to the range of
+            contact.
     """
 
     pairs: int
