@@ -48,10 +48,11 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold, in place of dataclasses and NumPy's arrays; what it cannot is text.
+    """What JSON can hold, in place of dataclasses and NumPy's arrays; paths, solvers and functions are text.
 
     Args:
-        value: anything, also in containers; None in a dataclass is left out.
+        value: anything, also in containers; None in a dataclass is left out. What is nothing of that stays as it is,
+            and JSON refuses it.
     """
     if is_dataclass(value) and not isinstance(value, type):
         items = ((item.name, getattr(value, item.name)) for item in fields(value))  # a solver cannot be copied
@@ -62,7 +63,7 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    return value if value is None or isinstance(value, str | int | float) else str(value)
+    return str(value) if isinstance(value, Path | PETSc.KSP) or callable(value) else value
 
 
 def write_summary(out: Path, demo: str, inputs: dict[str, Any], **results: Any) -> dict[str, Any]:
