@@ -142,7 +142,7 @@ def beam_in_flow() -> Any:
     from load import load_demo
 
     demo = load_demo("turek_hron_fsi3")
-    flow = demo.build(size=0.12, beam_size=0.03, degree=1, dt=0.01)
+    flow = demo.Beam(size=0.12, beam_size=0.03, degree=1, dt=0.01).build()
     flow.take_step()
     return flow
 

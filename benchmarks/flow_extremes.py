@@ -24,6 +24,7 @@ from varmint.flow import Flow, FlowError, FlowOptions
 from varmint.forms.motion import ElasticMotion
 from varmint.forms.space import split
 from varmint.mesh import box, grid
+from varmint.problems.cylinder import DIAMETER, SPEED, Channel, Coefficients
 from varmint.quantities import Measured, kinetic_energy
 
 SIDES = ("left", "right", "bottom", "top")
@@ -116,7 +117,7 @@ def cavity_stepped(reynolds: float) -> Outcome:
 def vortex(reynolds: float) -> Outcome:
     """The Taylor-Green vortex to its end, on a coarse mesh."""
     demo = load_demo("taylor_green")
-    flow = demo.build(8)
+    flow = demo.Vortex().build(8)
     flow.mu.value = 1.0 / reynolds
     energy = Measured(E=kinetic_energy(flow))
     start = energy()["E"]
@@ -128,24 +129,21 @@ def cavity_dt(dt: float) -> Outcome:
     return stepped(cavity(100.0, dt=dt, scheme=backward_euler()), 5)
 
 
-def cylinder(reynolds: float, dt: float | None) -> Any:
-    """Demo of the cylinder and its flow."""
-    demo = load_demo("cylinder")
-    flow = demo.build(min(reynolds, 1e9), 1, 0.08, dt=dt, ramp=0.05)
-    flow.mu.value = demo.SPEED * demo.DIAMETER / reynolds
-    return demo, flow
+def cylinder(reynolds: float, dt: float | None) -> Flow:
+    """Flow around a cylinder."""
+    flow = Channel(min(reynolds, 1e9), dt is None, 1, 0.08, dt or 1.0).build(ramp=0.05)
+    flow.mu.value = SPEED * DIAMETER / reynolds
+    return flow
 
 
 def cylinder_steady(reynolds: float) -> Outcome:
     """Steady flow around the cylinder."""
-    demo, flow = cylinder(reynolds, None)
-    return steady(flow, lambda flow: {"drag": demo.Coefficients(flow)()[0]})
+    return steady(cylinder(reynolds, None), lambda flow: {"drag": Coefficients(flow)()[0]})
 
 
 def cylinder_stepped(reynolds: float) -> Outcome:
     """Twenty steps around the cylinder, from rest."""
-    _, flow = cylinder(reynolds, 0.01)
-    return stepped(flow, 20)
+    return stepped(cylinder(reynolds, 0.01), 20)
 
 
 def stretched(ratio: float) -> Outcome:

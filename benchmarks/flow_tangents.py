@@ -35,17 +35,17 @@ def fast(**options: Any) -> Flow:
 
 def vortex(**options: Any) -> Flow:
     """The vortex of degree 1."""
-    return load_demo("taylor_green").build(64, 1, **options)
+    return load_demo("taylor_green").Vortex().build(64, **options)
 
 
 def moving(**options: Any) -> Flow:
     """The vortex on a moving mesh."""
-    return load_demo("taylor_green").build(32, 1, moving_mesh=True, **options)
+    return load_demo("taylor_green").Vortex(moving_mesh=True).build(32, **options)
 
 
 def in_space(**options: Any) -> Flow:
     """The vortex in space."""
-    return load_demo("taylor_green").build(32, 1, dim=3, **options)
+    return load_demo("taylor_green").Vortex(dim=3).build(32, **options)
 
 
 SCENES = {

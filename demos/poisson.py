@@ -18,16 +18,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from tigar_x import checks
+from tigar_x import ExtractedSpline, Patch, Results, Solution, SplineSystem, checks, script, solve_linear, with_results
 from tigar_x.geometry import shapes, surfaces
 from tigar_x.geometry.bspline import TensorBasis
 from tigar_x.geometry.functions import Cells
-from tigar_x.geometry.patch import Patch
-from tigar_x.run import script
-from tigar_x.run.results import Results, with_results
-from tigar_x.splines.exact import Solution
-from tigar_x.splines.spline import ExtractedSpline
-from tigar_x.splines.spline_system import SplineSystem, solve_linear
 
 TOY = {"degree": 2, "elements": 2, "levels": 3}
 

@@ -1,38 +1,44 @@
 """The cantilever under shear and moment: published positions, closed forms, and locking with its cure."""
 
-from dataclasses import replace
 from functools import cache
 from math import pi
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from load import load_demo
+
+from shnapr.problems.cantilever import LENGTH, PUBLISHED, Strip, circle, rolled_shell, thickness_study
 
 demo = load_demo("cantilever")
 
 
 @cache
 def bent(load, degree=3, elements=16, dim=2, formulation="displacement", thinness=0.01):
-    data = replace(demo.Data(), thickness=thinness * demo.Data().length)
-    return demo.follow(demo.Strip(data, load, dim, degree, elements, formulation))
+    strip = Strip(load, dim, degree, elements, thinness * LENGTH, formulation)
+    return SimpleNamespace(strip=strip, path=strip.bend(strip.shell()))
+
+
+def errors_of(found):
+    return found.strip.errors(found.path)
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("formulation", ["displacement", "mixed"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_shear(dim, formulation):
-    path = bent("shear", dim=dim, formulation=formulation)
-    errors = demo.errors(path)
+    found = bent("shear", dim=dim, formulation=formulation)
+    path, errors = found.path, errors_of(found)
     assert errors["U"] < 0.003
     assert errors["W"] < 0.001
     assert path.loads[-1] == 1.0
-    assert set(demo.LOADS) <= set(path.loads)
+    assert set(PUBLISHED) <= set(path.loads)
 
 
 @pytest.mark.parametrize("formulation", ["displacement", "mixed"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_moment(dim, formulation):
-    errors = demo.errors(bent("moment", dim=dim, formulation=formulation))
+    errors = errors_of(bent("moment", dim=dim, formulation=formulation))
     assert errors["closing"] < 1e-3
     assert errors["tip_shell"] < 2e-4
     assert errors["tip"] < 1e-3
@@ -41,23 +47,21 @@ def test_moment(dim, formulation):
 def test_plane_and_space_agree():
     """Without Poisson's ratio every section of the strip is the curve."""
     for load in ("shear", "moment"):
-        plane, space = (bent(load, dim=dim) for dim in (2, 3))
-        np.testing.assert_allclose(plane.tip(1.0), space.tip(1.0), atol=1e-5)
+        plane, space = (bent(load, dim=dim).path for dim in (2, 3))
+        np.testing.assert_allclose([plane.final(x) for x in "UW"], [space.final(x) for x in "UW"], atol=1e-5)
 
 
 def test_closed_forms():
-    data = demo.Data()
-    t = 2 * pi
-    np.testing.assert_allclose(demo.circle(t, data), (-data.length, 0.0), atol=1e-12)
-    thin = replace(data, thickness=1e-6)
-    np.testing.assert_allclose(demo.rolled_shell(2.0, thin), demo.circle(2.0, thin), rtol=1e-10)
+    t, h = 2 * pi, 0.1
+    np.testing.assert_allclose(circle(t), (-LENGTH, 0.0), atol=1e-12)
+    np.testing.assert_allclose(rolled_shell(2.0, 1e-6), circle(2.0), rtol=1e-10)
     # to first order the angle grows by (h t/L)^2/6, and the tip overshoots by it times the radius L/t
-    gap = np.hypot(*np.subtract(demo.rolled_shell(t, data), demo.circle(t, data)))
-    assert gap == pytest.approx((data.thickness * t / data.length) ** 2 / 6 * data.length, rel=2e-3)
+    gap = np.hypot(*np.subtract(rolled_shell(t, h), circle(t)))
+    assert gap == pytest.approx((h * t / LENGTH) ** 2 / 6 * LENGTH, rel=2e-3)
 
 
 def test_a_thick_strip_does_not_close_but_follows_the_theory():
-    errors = demo.errors(bent("moment", degree=4, thinness=0.1))
+    errors = errors_of(bent("moment", degree=4, thinness=0.1))
     assert errors["closing"] > 0.07
     assert errors["tip_shell"] < 1e-6
 
@@ -66,7 +70,7 @@ def test_a_thick_strip_does_not_close_but_follows_the_theory():
 @pytest.mark.parametrize("degree", [2, 3, 4])
 def test_membrane_forces_do_not_lock(degree, thinness):
     shear, moment = (
-        demo.errors(bent(load, degree, formulation="mixed", thinness=thinness)) for load in ("shear", "moment")
+        errors_of(bent(load, degree, formulation="mixed", thinness=thinness)) for load in ("shear", "moment")
     )
     assert max(shear.values()) < 0.01
     assert moment["closing"] < 0.005
@@ -75,14 +79,14 @@ def test_membrane_forces_do_not_lock(degree, thinness):
 
 @pytest.mark.parametrize(("degree", "thinness"), [(2, 1e-2), (2, 1e-3), (3, 1e-4)])
 def test_displacements_alone_lock(degree, thinness):
-    shear, moment = (demo.errors(bent(load, degree, thinness=thinness)) for load in ("shear", "moment"))
+    shear, moment = (errors_of(bent(load, degree, thinness=thinness)) for load in ("shear", "moment"))
     assert max(shear.values()) > 0.01
     assert moment["closing"] > 0.1
 
 
 def test_membrane_forces_need_fewer_iterations():
     plain, both = (bent("shear", 4, formulation=how, thinness=1e-4) for how in ("displacement", "mixed"))
-    assert both.iterations < 0.5 * plain.iterations
+    assert both.path.iterations < 0.5 * plain.path.iterations
 
 
 @pytest.mark.slow
@@ -90,7 +94,7 @@ def test_membrane_forces_need_fewer_iterations():
 @pytest.mark.parametrize("load", ["shear", "moment"])
 def test_study(load, dim):
     """With membrane forces every degree and thickness passes, but for the theory's own gap in the thickest circle."""
-    table = demo.thickness_study(load, dim, 16)
+    table = thickness_study(Strip(load, dim))
     assert len(table) == 24
     assert all(row["iterations"] != "-" for row in table)
     for row in table:

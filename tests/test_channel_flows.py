@@ -5,15 +5,17 @@ import pytest
 pytest.importorskip("gmsh")
 from load import load_demo
 
+from varmint.problems.cylinder import PUBLISHED, Channel, Coefficients
+
 CYLINDER, BEAM = load_demo("cylinder"), load_demo("turek_hron_fsi3")
 
 
 def test_steady_drag_and_lift():
     """Re = 20: drag within 0.3 %, lift within 2 %, the difference of pressures within 0.5 %."""
-    flow = CYLINDER.build(20.0, 2, 0.04)
+    flow = Channel(20.0, steady=True).build()
     flow.solve()
-    drag, lift, dp = CYLINDER.Coefficients(flow)()
-    published = CYLINDER.PUBLISHED[20.0, True][1]
+    drag, lift, dp = Coefficients(flow)()
+    published = PUBLISHED[20.0, True][1]
     assert drag == pytest.approx(published["drag"], rel=3e-3)
     assert lift == pytest.approx(published["lift"], rel=2e-2)
     assert dp == pytest.approx(published["dp"], rel=5e-3)
@@ -25,9 +27,9 @@ def test_a_polygon_of_equal_area_cuts_the_error_of_the_drag(cell, times):
     """Re = 20, degree 2: from .13 to .035 % of triangles, from .14 to .028 % of quadrilaterals."""
     errors = []
     for equal_area in (False, True):
-        flow = CYLINDER.build(20.0, 2, 0.04, cell=cell, equal_area=equal_area)
+        flow = Channel(20.0, steady=True).build(cell=cell, equal_area=equal_area)
         flow.solve()
-        drag, published = CYLINDER.Coefficients(flow)()[0], CYLINDER.PUBLISHED[20.0, True][1]["drag"]
+        drag, published = Coefficients(flow)()[0], PUBLISHED[20.0, True][1]["drag"]
         errors.append(abs(drag / published - 1.0))
     assert errors[0] > times * errors[1]
     assert errors[1] < 5e-4

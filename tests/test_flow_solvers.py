@@ -47,13 +47,16 @@ def test_multigrid_keeps_its_options_when_the_matrix_changes():
 @pytest.mark.mpi
 @pytest.mark.parametrize("solver", [gmres_ilu(1, rtol=1e-4), multigrid(rtol=1e-4)], ids=lambda s: s.name)
 def test_iterative_solvers_find_the_flow_of_a_direct_one(solver):
-    found, expected = (CAVITY.errors(CAVITY.solved(CAVITY.build(16, 2, solver=s))) for s in (solver, direct()))
+    flows = [CAVITY.build(16, 2, solver=chosen) for chosen in (solver, direct())]
+    for flow in flows:
+        flow.solve()
+    found, expected = map(CAVITY.errors, flows)
     for name in found:
         assert found[name] == pytest.approx(expected[name], rel=1e-5)
 
 
 def test_kept_factors_find_the_vortex_of_new_ones():
-    flows = [VORTEX.build(16, keep=keep, rtol=1e-9) for keep in (None, 0.2)]
+    flows = [VORTEX.Vortex().build(16, keep=keep, rtol=1e-9) for keep in (None, 0.2)]
     tangents = [sum(flow.take_step().tangents for _ in range(4)) for flow in flows]
     assert tangents[1] == 1 < tangents[0]
     a, b = (flow.w.x.array for flow in flows)
@@ -70,7 +73,7 @@ def test_a_steady_plane_flow_compiles_nothing_of_time_motion_or_space():
         assert form.constants == 2  # density and viscosity
 
     before = len(compat.compiled_forms())
-    VORTEX.build(4, moving_mesh=True).compile()
+    VORTEX.Vortex(moving_mesh=True).build(4).compile()
     moving = compat.compiled_forms()[-1]
     assert "mesh_displacement" in moving.coefficients
     assert moving.constants > 2

@@ -1,11 +1,13 @@
 """The leaflet against its planes: balance of forces, symmetry, contact, refinement, and the steps that close it."""
 
-from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from load import load_demo
+
+from shnapr.problems.leaflet import Closing, Leaflet
 
 DEMO = load_demo("leaflet")
 EDGE = np.linspace(0.0, 1.0, 101)[:, None] * (1.0, 0.0)
@@ -13,7 +15,8 @@ EDGE = np.linspace(0.0, 1.0, 101)[:, None] * (1.0, 0.0)
 
 @cache
 def closed(elements=10, *, degree=2, step=0.1, tolerance=1e-9, **data):
-    return DEMO.close(DEMO.Leaflet(replace(DEMO.Data(), **data), degree, elements), step=step, tolerance=tolerance)
+    leaflet = Closing(Leaflet(degree, elements, tolerance=tolerance, **data))
+    return SimpleNamespace(leaflet=leaflet, path=leaflet.close(step=step))
 
 
 @pytest.mark.parametrize("stiffness", [1e8, 1e9, 1e10])
@@ -38,7 +41,7 @@ def test_the_boundary_tells_the_resultant_of_the_pressure():
     leaflet = closed().leaflet
     forces = leaflet.forces()
     assert forces.boundary_error < 1e-13
-    open_one = DEMO.Leaflet(DEMO.Data(), 2, 10).forces()
+    open_one = Closing(Leaflet(2, 10)).forces(1.0)
     assert open_one.boundary_error < 1e-13
     assert np.linalg.norm(forces.pressure - open_one.pressure) > 0.05 * np.linalg.norm(forces.pressure)
 
@@ -46,9 +49,9 @@ def test_the_boundary_tells_the_resultant_of_the_pressure():
 def test_the_leaflet_is_symmetric():
     leaflet = closed().leaflet
     assert leaflet.asymmetry() < 1e-12
-    other = DEMO.Leaflet(DEMO.Data(), 2, 5)
+    other = Closing(Leaflet(2, 5))
     assert other.asymmetry() < 1e-12
-    other.y.x.array[1::3] = 1e-6
+    other.shell.y.x.array[1::3] = 1e-6
     assert other.asymmetry() > 1e-6
 
 
@@ -58,28 +61,28 @@ def test_depth_goes_with_pressure_over_stiffness():
     assert depths[1e8] > 4 * depths[1e9] > 16 * depths[1e10]
     for k, depth in depths.items():
         assert 0.2 * 1e5 / k < depth < 6 * 1e5 / k
-    assert all(-closed(stiffness=k).history[-1, 5] < 0.01 for k in depths)
+    assert all(-closed(stiffness=k).path.final("distance_2") < 0.01 for k in depths)
 
 
 def test_the_free_edge_meets_the_planes():
     run, beyond = closed(20, degree=3), closed(stiffness=1e-3)
-    assert run.final("touching") > 0.85
-    assert run.final("centre_radius") < 0.1 * 0.15  # a tenth of the opening
-    assert run.final("distance_1") > -0.003
+    assert run.path.final("touching") > 0.85
+    assert run.path.final("centre_radius") < 0.1 * 0.15  # a tenth of the opening
+    assert run.path.final("distance_1") > -0.003
     # without planes the edge passes where they are
-    assert beyond.final("distance_1") < -0.1
-    before = run.leaflet.distances(run.leaflet.spline.geometry.evaluate(EDGE)).min()
+    assert beyond.path.final("distance_1") < -0.1
+    before = run.leaflet.distances(run.leaflet.shell.spline.geometry.evaluate(EDGE)).min()
     assert before > 0.014  # nothing touches in the open leaflet
 
 
 def test_any_steps_lead_to_the_same_state():
     """Even a single one; energies and forces grow along the way."""
     ten, one = closed(), closed(step=1.0)
-    assert len(ten.load.loads) == 10
-    assert len(one.load.loads) == 1
-    np.testing.assert_allclose(one.leaflet.nodes(), ten.leaflet.nodes(), atol=1e-7)
+    assert len(ten.path.report.loads) == 10
+    assert len(one.path.report.loads) == 1
+    np.testing.assert_allclose(one.leaflet.shell.positions, ten.leaflet.shell.positions, atol=1e-7)
     for name in ("pressure", "energy", "contact_force"):
-        assert (np.diff(ten.history[:, DEMO.COLUMNS.index(name)]) > 0).all(), name
+        assert (np.diff(ten.path.history[name]) > 0).all(), name
 
 
 def test_the_leaflet_converges():
@@ -87,9 +90,9 @@ def test_the_leaflet_converges():
     runs = [closed(n, degree=3) for n in (10, 20)]
     finest = {"energy": 13068.8, "centre_radius": 0.01108, "centre_z": 0.44313}  # of 40 elements
     for name, value in finest.items():
-        errors = [abs(run.final(name) - value) for run in runs]
+        errors = [abs(run.path.final(name) - value) for run in runs]
         assert errors[1] < 0.3 * errors[0], name
-    assert abs(runs[1].final("centre_z") - finest["centre_z"]) < 2e-3
+    assert abs(runs[1].path.final("centre_z") - finest["centre_z"]) < 2e-3
 
 
 @pytest.mark.slow
@@ -104,7 +107,7 @@ def test_rates_of_convergence(tmp_path):
 def test_smooth_planes_give_nearly_the_same():
     """Smoothing over s holds the leaflet back by less than s."""
     hard, smooth = closed(), closed(smoothing=1e-3)
-    distance = np.abs(hard.leaflet.nodes() - smooth.leaflet.nodes()).max()
+    distance = np.abs(hard.leaflet.shell.positions - smooth.leaflet.shell.positions).max()
     assert 1e-4 < distance < 3e-3
     assert smooth.leaflet.forces().imbalance < 1e-9
 

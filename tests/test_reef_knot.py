@@ -7,8 +7,10 @@ import pytest
 from load import load_demo
 from scipy.spatial import cKDTree
 
+from shnapr.problems.knots import Crossings, joined
+from shnapr.problems.reef_knot import CENTRE, CONTACT, SQUARE_KNOT, Knot
+from shnapr.shell import ShellError, dynamics
 from tigar_x.fem.linear import SolveError
-from tigar_x.geometry.ribbon import Crossings
 
 demo = load_demo("reef_knot")
 DT = 1e-3
@@ -16,7 +18,7 @@ DT = 1e-3
 
 @cache
 def knot():
-    return demo.Scene(demo.Data(), 3, DT)
+    return Knot(3, DT)
 
 
 @pytest.fixture
@@ -24,9 +26,10 @@ def scene():
     """The scene before its first step; forms and factors are shared."""
     scene = knot()
     time = scene.time
-    for f in (scene.y, time.x_old, time.xdot_old, time.xddot_old):
+    for f in (scene.shell.y, time.x_old, time.xdot_old, time.xddot_old):
         f.x.array[:] = 0.0
     time._t_n, time.step_size = 0.0, DT
+    scene.begin()
     return scene
 
 
@@ -41,18 +44,18 @@ def test_it_is_a_reef_knot_and_no_other(scene):
     crossings = scene.crossings()
     # over the bight, under a strand, over both strands, under, over: both ends on one side of the other's bight
     assert word(crossings, len(first)) == "OUOOUO"
-    assert (len(crossings.under), crossings.writhe, crossings.determinant) == (6, 0, demo.SQUARE_KNOT)
+    assert (len(crossings.under), crossings.writhe, crossings.determinant) == (6, 0, SQUARE_KNOT)
     # its lower half turned over makes a granny knot, and one ribbon on top of the other no knot
     half = (1.0, 1.0, -1.0)
-    granny = Crossings.of(demo.joined(*(np.where(x[:, 1:2] < 0, x * half, x) for x in (first, second))))
-    assert (abs(granny.writhe), granny.determinant) == (6, demo.SQUARE_KNOT)
-    loose = Crossings.of(demo.joined(first + np.array([0, 0, 5]), second))
+    granny = Crossings.of(joined(*(np.where(x[:, 1:2] < 0, x * half, x) for x in (first, second))))
+    assert (abs(granny.writhe), granny.determinant) == (6, SQUARE_KNOT)
+    loose = Crossings.of(joined(first + np.array([0, 0, 5]), second))
     assert (len(loose.under), loose.determinant) == (6, 1)
 
 
 def test_the_ribbons_are_images_of_each_other(scene):
-    first, second = (patch.points - (demo.CENTRE, 0.0, 0.0) for patch in scene.spline.geometry.patches)
-    n = scene.spline.geometry.patches[0].bases[0].n
+    first, second = (patch.points - (CENTRE, 0.0, 0.0) for patch in scene.shell.spline.geometry.patches)
+    n = scene.shell.spline.geometry.patches[0].bases[0].n
 
     def rows(points):
         return points.reshape(-1, n, 3)
@@ -63,19 +66,19 @@ def test_the_ribbons_are_images_of_each_other(scene):
 
 
 def test_nothing_touches_at_first(scene):
-    X, data = scene.positions, scene.data
+    X = scene.shell.positions
     between = cKDTree(X[scene.first]).query(X[~scene.first])[0].min()
-    assert between > data.r_self  # so that all pairs of points of different ribbons take part
+    assert between > CONTACT.r_self  # so that all pairs of points of different ribbons take part
     upper, lower = (X[scene.first & (side * X[:, 1] > 0.3)] for side in (1, -1))
-    assert cKDTree(upper).query(lower)[0].min() > data.r_self
-    assert scene.system.contact.evaluate(X, tangent=False).pairs == 0
+    assert cKDTree(upper).query(lower)[0].min() > CONTACT.r_self
+    assert scene.shell.contact.evaluate(X, tangent=False).pairs == 0
     assert scene.piercings() == 0
     assert scene.spacing_ratio < 0.75
     assert scene.quadrature.weights.sum() == pytest.approx(2 * 0.5 * 27.5, rel=0.05)
 
 
 def test_supports_and_load(scene):
-    points, zero = scene.spline.geometry.points, set(scene.spline.zero_dofs)
+    points, zero = scene.shell.spline.geometry.points, set(scene.shell.spline.zero_dofs)
     held, pulled = points[:, 0] < -6.0, points[:, 0] > 10.0
     assert held.any()
     assert pulled.any()
@@ -84,40 +87,40 @@ def test_supports_and_load(scene):
     X = scene.quadrature.points
     area = scene.quadrature.weights[X[:, 0] > 10.0].sum()
     np.testing.assert_allclose(scene.force, [1e3 * 0.004 * area, 0, 0], rtol=0.1, atol=1e-12)
-    assert np.abs(scene.load[X[:, 0] < 9.0]).max() == 0.0
+    assert np.abs(scene._load[X[:, 0] < 9.0]).max() == 0.0
 
 
 def pushed_together(scene, speed=15.0):
     """The second ribbon nearly touches the first and moves towards it."""
-    functions = scene.spline.geometry.patches[0].n
+    functions = scene.shell.spline.geometry.patches[0].n
     shift = np.zeros((2 * functions, 3))
     shift[functions:, 0] = 1.0
-    first, second = scene.positions[scene.first], scene.positions[~scene.first]
+    first, second = scene.shell.positions[scene.first], scene.shell.positions[~scene.first]
     steps = np.linspace(0.0, 2.0, 401)
     gaps = np.array([cKDTree(first).query(second + np.array([s, 0, 0]))[0].min() for s in steps])
-    nearest = steps[np.argmax(gaps < 1.03 * scene.data.r_max)]
-    for f, factor in ((scene.y, nearest), (scene.time.x_old, nearest), (scene.time.xdot_old, speed)):
-        f.x.array[:] = (scene.spline.vector.nodes @ (factor * shift)).ravel()
+    nearest = steps[np.argmax(gaps < 1.03 * CONTACT.kernel.r_max)]
+    for f, factor in ((scene.shell.y, nearest), (scene.time.x_old, nearest), (scene.time.xdot_old, speed)):
+        f.x.array[:] = (scene.shell.spline.vector.nodes @ (factor * shift)).ravel()
     return nearest
 
 
 def test_everything_balances_in_contact(scene):
     assert pushed_together(scene) < 2.0
-    run = demo.Run(scene)
+    scene.begin()
     start, before = scene.energies(), scene.momentum()
-    for _ in range(8):
-        run.advance(0.5 * DT)
-    ledger = run.ledger
+    scene.time.step_size = 0.5 * DT
+    scene.run(steps=8, show=False).through()
+    ledger = scene.ledger
     assert scene.time.time == pytest.approx(4 * DT)
     assert ledger.substeps >= 8
     assert ledger.pairs > 2
-    assert run.row["contact"] > 0.0
+    assert scene.row["contact"] > 0.0
     # contact neither pushes nor turns the whole, and momentum changes by forces alone
     assert ledger.contact_force < 1e-12
     assert ledger.contact_torque < 1e-10
     assert ledger.force_imbalance < 1e-5
     # it is the contact that sets the held ribbon in motion
-    velocity = scene.spline.nodal(scene.time.xdot_old)
+    velocity = scene.shell.spline.nodal(scene.time.xdot_old)
     momentum = 0.004 * scene.quadrature.weights[scene.first] @ velocity[scene.first]
     assert momentum[0] > 1e-4
     assert scene.momentum()[0] < before[0] + scene.force[0] * scene.time.time
@@ -127,55 +130,53 @@ def test_everything_balances_in_contact(scene):
     assert ledger.gained < 0.0
     assert ledger.largest_gain < 0.0
     # no way through
-    assert 0.5 * scene.data.r_max < ledger.distance < scene.data.r_max
+    assert 0.5 * CONTACT.kernel.r_max < ledger.distance < CONTACT.kernel.r_max
     assert 2 * ledger.motion < 1.0
     assert scene.piercings() == 0
-    assert scene.crossings().determinant == demo.SQUARE_KNOT
+    assert scene.crossings().determinant == SQUARE_KNOT
 
 
 def test_ribbons_that_went_through_each_other_are_found(scene):
     nearest = pushed_together(scene)
     assert scene.piercings() == 0
-    move = (scene.y.x.array / nearest).copy()
-    scene.y.x.array[:] = (nearest + 0.4) * move
+    move = (scene.shell.y.x.array / nearest).copy()
+    scene.shell.y.x.array[:] = (nearest + 0.4) * move
     assert scene.piercings() > 0
-    scene.y.x.array[:] = 8.0 * move
+    scene.shell.y.x.array[:] = 8.0 * move
     assert scene.crossings().determinant == 1
 
 
 def failing(monkeypatch, times):
     """Newton's method fails so many times."""
     attempts = []
-    real = demo.newton
+    real = dynamics.newton
 
     def newton(*arguments, **options):
         attempts.append(knot().time.step_size)
         if len(attempts) <= times:
-            knot().y.x.array[:] += 1.0
+            knot().shell.y.x.array[:] += 1.0
             raise SolveError("on purpose")
         return real(*arguments, **options)
 
-    monkeypatch.setattr(demo, "newton", newton)
+    monkeypatch.setattr(dynamics, "newton", newton)
     return attempts
 
 
-def test_steps_that_fail_are_cut_and_grow_again(scene, monkeypatch):
+def test_steps_that_fail_are_cut(scene, monkeypatch):
     attempts = failing(monkeypatch, 2)
-    run = demo.Run(scene)
-    run.advance(DT)
-    np.testing.assert_allclose(attempts, np.array([1, 1 / 2, 1 / 4, 1 / 2, 1 / 4]) * DT)
+    scene.run(steps=1, show=False).through()
+    np.testing.assert_allclose(attempts, np.array([1, 1 / 2, 1 / 4, 1 / 4, 1 / 4, 1 / 4]) * DT)
     assert scene.time.time == pytest.approx(DT)
-    assert (run.ledger.failures, run.ledger.substeps) == (2, 3)
-    assert run.ledger.force_imbalance < 1e-5
+    assert (scene.ledger.failures, scene.ledger.substeps) == (2, 4)
+    assert scene.ledger.force_imbalance < 1e-5
 
 
 def test_a_step_that_always_fails_is_an_error(scene, monkeypatch):
     attempts = failing(monkeypatch, 100)
-    run = demo.Run(scene)
-    with pytest.raises(SolveError, match="on purpose"):
-        run.advance(DT)
+    with pytest.raises(ShellError, match="on purpose"):
+        scene.run(steps=1, show=False).through()
     assert len(attempts) == 8
-    assert not scene.y.x.array.any()
+    assert not scene.shell.y.x.array.any()
     assert scene.time.time == 0.0
 
 

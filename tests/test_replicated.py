@@ -1,13 +1,13 @@
 """Ranks that each solve the same problem, with other rounding or a failure of their own, go the way of rank 0."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from mpi4py import MPI
-from load import load_demo
 from test_load_stepping import pointwise
 
+from shnapr.problems.inflation import Inflated, Plate
+from shnapr.problems.leaflet import Closing, Leaflet
+from shnapr.problems.reef_knot import Knot
 from tigar_x.fem.linear import SolveError
 from tigar_x.fem.load_stepping import StepControl, follow_load
 from tigar_x.fem.solve import newton
@@ -58,24 +58,19 @@ def test_a_step_that_fails_on_one_rank_is_cut_on_all(rank):
 
 
 def leaflet():
-    demo = load_demo("leaflet")
-    closure = demo.close(demo.Leaflet(replace(demo.Data(), pressure=1e3), 2, 5), step=0.5, tolerance=1e-9)
-    return closure.leaflet.y, closure.load
+    closing = Closing(Leaflet(2, 5, pressure=1e3))
+    return closing.shell.y, closing.close(step=0.5).report
 
 
 def inflation():
-    demo = load_demo("inflation")
-    plate = demo.Plate(demo.CASES["neo-hookean"], 2, 4, 2, ramp=2.0, quarter=True)
-    return plate.y, demo.inflate(plate, step=0.25, growth=1.5, tolerance=1e-7).load
+    plate = Inflated(Plate(elements=4, points=2, quarter=True))
+    return plate.shell.y, plate.inflate(step=0.25).report
 
 
 def reef_knot():
-    demo = load_demo("reef_knot")
-    scene = demo.Scene(demo.Data(), 1, demo.Data().time_step)
-    run = demo.Run(scene)
-    for _ in range(2):
-        run.advance(demo.Data().time_step)
-    return scene.y, (run.ledger.newton_iterations, run.ledger.substeps)
+    knot = Knot(1)
+    knot.run(steps=2, show=False).through()
+    return knot.shell.y, (knot.ledger.newton_iterations, knot.ledger.substeps)
 
 
 @pytest.mark.parametrize("demo", [leaflet, inflation, reef_knot])

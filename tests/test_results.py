@@ -2,6 +2,7 @@
 
 import inspect
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,6 +43,43 @@ def study(results: Results, factor: float = 1.0) -> Any:
         lambda n: setattr(solved, "n", n) or solved, lambda s: {"e": factor / s.n**2}, {"e": 2.0}, lambda n: n
     )
     return results.convergence(found, "a study", more=1)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem with its mesh.
+
+    Attributes:
+        degree: of the splines,
+            two or more.
+        kind: of cells.
+    """
+
+    degree: int = 3
+    kind: Literal["triangle", "quadrilateral"] = "triangle"
+
+
+@with_results
+def of_a_dataclass(results: Results, problem: Problem, factor: float = 1.0) -> Any:
+    """Solve a problem.
+
+    Args:
+        factor: of the load.
+    """
+    return problem, factor, results.inputs
+
+
+def test_fields_of_a_dataclass_are_options(tmp_path, capsys):
+    assert list(inspect.signature(of_a_dataclass).parameters)[:3] == ["degree", "kind", "factor"]
+    found = of_a_dataclass(degree=2, factor=0.5, out=tmp_path)
+    assert found == (Problem(2), 0.5, {"degree": 2, "kind": "triangle", "factor": 0.5})
+    with pytest.raises(ValueError, match="kind = 'hexagon'"):
+        of_a_dataclass(kind="hexagon", out=tmp_path)
+    with pytest.raises(SystemExit):
+        script.command_line(of_a_dataclass, ["--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "of the splines, two or more." in said
+    assert "of the load." in said
 
 
 def test_the_script_is_called_by_its_file_and_records_its_options(tmp_path):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from shnapr.contact.piercings import piercings
+from shnapr.problems.knots import Crossings
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, open_knots
-from tigar_x.geometry.ribbon import CentreLine, Crossings, ribbon
+from tigar_x.geometry.ribbon import CentreLine, ribbon
 
 T = np.linspace(0.0, 2 * np.pi, 300, endpoint=False)
 CLOSED = {

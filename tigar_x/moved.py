@@ -60,6 +60,7 @@ _NAMES = {
     ("tigar_x.output", "tigar_x.splines.vtu"): "VTUSeries",
     ("tigar_x.patch", "tigar_x.geometry.net"): "ControlNet",
     ("tigar_x.ribbon", "shnapr.contact.piercings"): "piercings",
+    ("tigar_x.ribbon", "shnapr.problems.knots"): "Crossings",
     ("tigar_x.script", "tigar_x.run.progress"): "Progress Stopwatch Termination peak_rss_mib rss_mib",
     ("tigar_x.script", "tigar_x.run.summary"): "Quantity plain table versions write_summary",
     ("tigar_x.space", "tigar_x.fem.extracted"): "Extracted extracted_matrix",

@@ -217,6 +217,32 @@ class PointValues:
         return np.asarray(self._comm.allreduce(values, op=MPI.SUM))
 
 
+class NodeValues:
+    """Values of a function at its nodes that are nearest to points, on the mesh at rest.
+
+    Args:
+        function: in a scalar or blocked Lagrange space.
+        points: shape (n, d).
+    """
+
+    def __init__(self, function: fem.Function, points: Sequence[Sequence[float]] | FloatArray) -> None:
+        V = self._V = function.function_space
+        self._function, self._comm = function, V.mesh.comm
+        wanted = checks.array("points", points, (None, V.mesh.geometry.dim))
+        x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : wanted.shape[1]]
+        away = np.linalg.norm(x[None] - wanted[:, None], axis=2)
+        nearest = np.array(self._comm.allgather(away.min(axis=1, initial=np.inf)))
+        self._mine = nearest.argmin(axis=0) == self._comm.rank
+        self._nodes = away[self._mine].argmin(axis=1) if self._mine.any() else np.zeros(0, dtype=int)
+
+    def __call__(self) -> FloatArray:
+        """Values (collective), shape (n, components)."""
+        size = self._V.dofmap.index_map_bs
+        values = np.zeros((len(self._mine), size))
+        values[self._mine] = self._function.x.array.reshape(-1, size)[self._nodes]
+        return np.asarray(self._comm.allreduce(values, op=MPI.SUM))
+
+
 class NodalField:
     """An expression as a continuous linear field, by lumped projection.
 

@@ -92,7 +92,7 @@ class Shell(Scene):
 
         Args:
             until: load factor.
-            step: first step of the load factor; None: all that is left.
+            step: first step of the load factor; None: the whole way, or from a loaded state what would have come next.
             control: when steps are cut and grown; None: down to a thousandth of the first one, and never beyond it.
             extrapolate: whether steps start from the last increment in proportion.
             each: called with the load factor after every step.

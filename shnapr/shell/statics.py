@@ -78,7 +78,9 @@ class Statics:
 
         if checks.finite("until", until) <= factor.time:
             return self._again(until, found, chosen)
-        first = factor.step_size = until - factor.time if step is None else step
+        if step is None and not factor.time:
+            step = until
+        first = factor.step_size = factor.step_size if step is None else step
         control = StepControl(smallest=1e-3 * first, largest=first) if control is None else control
         return follow_load(
             self._system, factor, until=until, control=control, updates=self._updates, each=found,

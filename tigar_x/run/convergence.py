@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -143,8 +143,43 @@ def doubled(elements: int, levels: int) -> tuple[int, ...]:
     return tuple(first * 2**i for i in range(count))
 
 
+def halved(elements: int, levels: int, *, least: int = 2, multiple: int = 1) -> tuple[int, ...]:
+    """Numbers of elements of a sequence of meshes whose last one is given, each half of the next.
+
+    Args:
+        elements: number per direction on the finest level.
+        levels: number of levels, 1 or more.
+        least: smallest number on the coarsest level.
+        multiple: what the numbers are multiples of.
+
+    Raises:
+        ValueError: one of them is out of range, or the number cannot be halved so often.
+    """
+    coarsest = 2 ** (checks.whole("levels", levels, 1) - 1)
+    if checks.whole("elements", elements, least * coarsest) % (multiple * coarsest):
+        raise ValueError(
+            f"elements = {elements}: a multiple of {multiple * coarsest} is required for levels = {levels}"
+        )
+    return tuple(elements // coarsest * 2**k for k in range(levels))
+
+
+def observed_rates(values: Sequence[Mapping[str, float]]) -> dict[str, float] | None:
+    """Rates at which differences between successive meshes fall, from the three finest ones.
+
+    Args:
+        values: by name on each mesh, from coarse to fine, each with twice the elements of the one before.
+
+    Returns:
+        Rates by name; None where there are less than three meshes.
+    """
+    if len(values) < 3:
+        return None
+    steps = np.abs(np.diff([list(one.values()) for one in values[-3:]], axis=0))
+    return dict(zip(values[-1], np.log2(steps[0] / steps[1]).tolist(), strict=True))
+
+
 def refine(
-    solve: Callable[[Any], S],
+    solve: Callable[[Any], Any],
     errors: Callable[[S], Mapping[str, float]],
     elements: Sequence[int],
     expected: Mapping[str, float],
@@ -153,7 +188,8 @@ def refine(
     """Solve on finer and finer meshes; only ``solve`` is timed.
 
     Args:
-        solve: from the number of elements per direction, or from what ``prepare`` makes of it, to a solution.
+        solve: from the number of elements per direction, or from what ``prepare`` makes of it, to a solution. What has
+            no unknowns, such as a report, is none: then what was prepared is the solution.
         errors: from the solution to its errors by name.
         elements: numbers per direction from coarse to fine, see :func:`doubled`.
         expected: rates of theory by name of the error.
@@ -169,7 +205,7 @@ def refine(
     for n in elements:
         watch, problem = Stopwatch(), n if prepare is None else prepare(n)
         with watch:
-            solution = solve(problem)
-        memory = peak_rss_mib()
+            found = solve(problem)
+        memory, solution = peak_rss_mib(), cast(S, found if hasattr(found, "unknowns") else problem)
         levels.append(Level(n, solution.unknowns, errors(solution), watch.cpu_s, watch.wall_s, memory))
     return Study(tuple(levels), expected), solution

@@ -108,6 +108,10 @@ class History:
         """
         return Course(self[t], self[name])
 
+    def since(self, t: float) -> "History":
+        """The rows from a time on."""
+        return History(self.names, self.rows[self.t >= t])
+
     def until(self, t: float) -> "History":
         """The rows up to a time."""
         return History(self.names, self.rows[[not is_later(float(row[0]), t) for row in self.rows]])

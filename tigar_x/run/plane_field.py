@@ -127,6 +127,20 @@ class PlaneField:
         """Panel of the length of the first two components, in a unit, see :meth:`panel`."""
         return self.panel((self.values[:, :2] ** 2).sum(axis=1) ** 0.5, Colours("speed", unit), length=length, **more)
 
+    def signed(self, what: str, unit: str, *, length: str, share: float = 1.0, **more: Any) -> Panel:
+        """Panel of the last component in colours that tell its sign, see :meth:`panel`.
+
+        Args:
+            what: what it is, such as the pressure of a flow, or a vorticity.
+            unit: in which unit.
+            length: unit of the positions.
+            share: of the largest magnitude, at which the colours end.
+            more: see :meth:`panel`.
+        """
+        values = self.values[:, -1]
+        end = share * float(np.abs(values).max(initial=0.0)) or 1.0
+        return self.panel(values, Colours(what, unit, -end, end, "RdBu_r"), length=length, **more)
+
 
 def nodal_values(
     function: fem.Function, displacement: fem.Function | None = None

@@ -18,17 +18,20 @@ import functools
 import inspect
 import sys
 import typing
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from mpi4py import MPI
 
 from tigar_x import checks
 from tigar_x.run.convergence import Solved, Study, doubled, refine
-from tigar_x.run.summary import write_summary
+from tigar_x.run.summary import quantity_table, write_summary
 from tigar_x.run.writing import claim
+
+if TYPE_CHECKING:
+    from tigar_x.run.running import Run
 
 S = TypeVar("S", bound=Solved)
 
@@ -42,6 +45,8 @@ OPTIONS: dict[str, tuple[type, Any, str]] = {
     "restart": (str, "", 'checkpoint to go on from: "latest", the number of its step, or its file.'),
 }
 """Type, default and help of the options that scripts share."""
+LENGTHS = ("until", "steps", "frames")
+"""Options in which a run may differ from the one that it goes on from."""
 LEVELS, ALWAYS, RESTARTS = ("elements", "levels"), ("out", "overwrite", "viz"), ("checkpoint_every", "restart")
 
 
@@ -88,11 +93,61 @@ class Results:
         """
         return write_summary(self.out, self.name, {**self.inputs, **(inputs or {})}, **results)
 
+    # -- runs through time --------------------------------------------------------------------------------------------
+
+    def run(self, stepped: Any, *, series: Sequence[Any] = (), **options: Any) -> "Run":
+        """A run with this folder, see :class:`tigar_x.run.running.Run`; without ``viz`` it writes no series.
+
+        Args:
+            stepped: what has a method ``run``, such as a flow or a coupled problem.
+            series: of the run.
+            options: of the run.
+        """
+        lasting = {key: value for key, value in self.inputs.items() if key not in LENGTHS}
+        own = {"out": self.out, "overwrite": self.overwrite, "restart": self.restart, "inputs": lasting}
+        own["checkpoint_every"] = self.checkpoint_every
+        return stepped.run(series=series if self.viz else (), **(own | options))
+
+    def of_run(self, run: "Run", *, doi: str = "", **results: Any) -> dict[str, Any]:
+        """Write the summary of a run, and print what it has found.
+
+        Args:
+            run: from :meth:`run`.
+            doi: of published values.
+            results: see :meth:`tigar_x.run.running.Run.summary`; ``inputs`` are added to the options.
+
+        Returns:
+            The summary; nothing where the run was told to end.
+        """
+        if not run.finished:
+            return {}
+        run.inputs = {**self.inputs, **results.pop("inputs", {})}
+        summary = run.summary(self.name, **results)
+        self.say(f"{self.name}: {run.tally}")
+        self.say(quantity_table(summary, doi))
+        return summary
+
+    def of_path(self, path: Any, *, doi: str | None = None, **results: Any) -> dict[str, Any]:
+        """Write the summary of a load path, and print what it has found.
+
+        Args:
+            path: see :class:`tigar_x.run.loading.LoadPath`.
+            doi: of published values.
+            results: of the summary.
+
+        Returns:
+            The summary.
+        """
+        summary = self.summary(**{**path.results(), **results})
+        self.say(f"{self.name}: {summary['steps']} load steps, {path.iterations} iterations, {path.cpu_s:.3g} CPU s")
+        self.say(quantity_table(summary, doi or ""))
+        return summary
+
     # -- studies of convergence ---------------------------------------------------------------------------------------
 
     def refine(
         self,
-        solve: Callable[[Any], S],
+        solve: Callable[[Any], Any],
         errors: Callable[[S], Mapping[str, float]],
         expected: Mapping[str, float],
         prepare: Callable[[int], Any] | None = None,
@@ -131,7 +186,8 @@ def with_results(main: Callable[..., Any] | None = None, **shared: Any) -> Calla
     """Give a script's function the options of :class:`Results`, and such an object as its first argument.
 
     The script is called by the name of its file, and its folder is ``results/NAME`` unless another is given. An option
-    that is annotated as a ``Literal`` has to be one of its values.
+    that is annotated as a ``Literal`` has to be one of its values. In place of an argument whose annotation is a
+    dataclass the function has the dataclass's fields as options.
 
     Args:
         main: the script's function: ``results`` first, then its options, each with a default.
@@ -143,29 +199,41 @@ def with_results(main: Callable[..., Any] | None = None, **shared: Any) -> Calla
     """
     if main is None:
         return functools.partial(with_results, **shared)
-    name, hints = Path(inspect.getfile(main)).stem, typing.get_type_hints(main)
-    first, *own = inspect.signature(main).parameters.values()
+    name, doc = Path(inspect.getfile(main)).stem, inspect.cleandoc(main.__doc__ or "")
+    hints = typing.get_type_hints(main)
+    arguments = list(inspect.signature(main).parameters.values())[1:]
+    kinds = {argument.name: hints[argument.name] for argument in arguments if is_dataclass(hints[argument.name])}
+    options: dict[str, tuple[Any, Any]] = {}
+    for argument in arguments:
+        if argument.name in kinds:
+            kind, types = kinds[argument.name], typing.get_type_hints(kinds[argument.name])
+            options |= {item.name: (types[item.name], item.default) for item in fields(kind) if item.init}
+            doc = _with_lines(doc, _section(kind.__doc__, "Attributes"))
+        else:
+            options[argument.name] = hints[argument.name], argument.default
     groups = (group for group in (LEVELS, ALWAYS, RESTARTS) if group is ALWAYS or set(group) & set(shared))
     added = [key for group in groups for key in group]
-    defaults = {key: OPTIONS[key][1] for key in added} | {"out": Path("results") / name} | shared
+    defaults = {"out": Path("results") / name} | shared
+    options |= {key: (OPTIONS[key][0], defaults.get(key, OPTIONS[key][1])) for key in added}
     keyword = inspect.Parameter.KEYWORD_ONLY
-    more = [inspect.Parameter(key, keyword, annotation=OPTIONS[key][0], default=defaults[key]) for key in added]
-    signature = inspect.Signature([parameter.replace(kind=keyword) for parameter in own] + more)
+    signature = inspect.Signature(
+        [inspect.Parameter(k, keyword, annotation=hint, default=default) for k, (hint, default) in options.items()]
+    )
 
     @functools.wraps(main)
-    def run(**options: Any) -> Any:
-        bound = signature.bind(**options)
+    def run(**chosen: Any) -> Any:
+        bound = signature.bind(**chosen)
         bound.apply_defaults()
         given = dict(bound.arguments)
         ours = {key: given.pop(key) for key in added if key not in LEVELS}
         for key, value in given.items():
-            _check_choice(key, value, hints.get(key))
-        ours["out"] = Path(ours["out"])
-        return main(Results(name, given, **ours), **{parameter.name: given[parameter.name] for parameter in own})
+            _check_choice(key, value, options[key][0])
+        made = {k: kind(**{f.name: given[f.name] for f in fields(kind) if f.init}) for k, kind in kinds.items()}
+        own = {argument.name: made.get(argument.name, given.get(argument.name)) for argument in arguments}
+        return main(Results(name, given, **(ours | {"out": Path(ours["out"])})), **own)
 
-    run.__doc__ = _with_options(main.__doc__ or "", added)
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in more} | hints
-    del run.__annotations__[first.name]
+    run.__doc__ = _with_lines(doc, [f"    {key}: {OPTIONS[key][2]}" for key in added])
+    run.__annotations__ = {key: hint for key, (hint, _) in options.items()} | {"return": hints.get("return", Any)}
     run.__signature__ = signature  # type: ignore[attr-defined]
     return run
 
@@ -178,9 +246,14 @@ def _check_choice(name: str, value: Any, hint: Any) -> None:
         checks.choice(name, value, sum(literals, ()))
 
 
-def _with_options(doc: str, names: list[str]) -> str:
-    """A docstring whose section of arguments has more of them at its end."""
-    head, args, tail = inspect.cleandoc(doc).partition("\n\nArgs:\n")
+def _section(doc: str | None, name: str) -> list[str]:
+    """Lines of a section of a docstring."""
+    _, _, section = inspect.cleandoc(doc or "").partition(f"\n\n{name}:\n")
+    return section.partition("\n\n")[0].splitlines()
+
+
+def _with_lines(doc: str, lines: list[str]) -> str:
+    """A docstring whose section of arguments has more lines at its end."""
+    head, args, tail = doc.partition("\n\nArgs:\n")
     own, gap, rest = tail.partition("\n\n")
-    lines = [own] * bool(args) + [f"    {name}: {OPTIONS[name][2]}" for name in names]
-    return head + "\n\nArgs:\n" + "\n".join(lines) + gap + rest
+    return head + "\n\nArgs:\n" + "\n".join([own] * bool(args) + lines) + gap + rest

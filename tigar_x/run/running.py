@@ -200,6 +200,12 @@ class Run:
         self._begun = True
         return self._go()
 
+    def through(self) -> "Run":
+        """Go through all steps where the script has nothing to do after each; the run itself."""
+        for _ in self:
+            pass
+        return self
+
     def _go(self) -> Iterator[Any]:
         with ExitStack() as files:
             try:

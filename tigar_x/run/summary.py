@@ -2,7 +2,7 @@
 
 import json
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,18 @@ class Quantity:
     value: float
     published: float | None = None
     doi: str | None = None
+
+
+def against(found: Mapping[str, float], published: Mapping[str, float], doi: str | None = None) -> dict[str, Quantity]:
+    """Quantities beside what is published of them.
+
+    Args:
+        found: computed values by name.
+        published: values in the literature by name; there may be fewer.
+        doi: where they were published.
+    """
+    known = {name: (published[name], doi) if name in published else (None, None) for name in found}
+    return {name: Quantity(float(value), *known[name]) for name, value in found.items()}
 
 
 def versions() -> dict[str, str]:
@@ -111,3 +123,17 @@ def table(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     cells = [[f"{c:.4g}" if isinstance(c, float) else str(c) for c in row] for row in [list(header), *map(list, rows)]]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in cells)
+
+
+def quantity_table(summary: Mapping[str, Any], doi: str = "") -> str:
+    """Plain text table of the quantities of a summary, beside what is published.
+
+    Args:
+        summary: of :func:`write_summary`.
+        doi: of the published values.
+    """
+    found = summary.get("qoi", {}).items()
+    known = f"published (doi:{doi})" if doi else "published"
+    if any("published" in quantity for _, quantity in found):
+        return table(("quantity", "value", known), [(k, q["value"], q.get("published", "-")) for k, q in found])
+    return table(("quantity", "value"), [(name, quantity["value"]) for name, quantity in found])

@@ -1,6 +1,6 @@
 """What the steps of a run cost, added up; it goes on with a run that goes on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from tigar_x.run.progress import Stopwatch, rss_mib
@@ -61,6 +61,17 @@ class Tally:
         self._memory["rss_mib_end"] = rss_mib()
         if self._steps <= SETTLED:
             self._memory[f"rss_mib_step_{SETTLED}"] = self._memory["rss_mib_end"]
+
+    def once(self, solve: Callable[[], Any]) -> "Tally":
+        """Enter what one solve takes.
+
+        Args:
+            solve: returns its report.
+        """
+        with self.watch:
+            report = solve()
+        self.add([report])
+        return self
 
     @property
     def cuts(self) -> int:

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import ufl
-from dolfinx import fem
 
 from tigar_x import checks, compat
 from tigar_x.compat import IntArray
@@ -177,15 +176,6 @@ class Flow:
         """To be called before every assembly of the residual by whoever solves the flow."""
         solid = () if self._solid is None else (self._solid.move_mesh,)
         return (*(outlet.update for outlet in self._outlets), *solid)
-
-    # -- output -------------------------------------------------------------------------------------------------------
-
-    @property
-    def components(self) -> dict[str, tuple[fem.Function, tuple[int, ...]]]:
-        """Fields of a series of files by name, each a function and its components."""
-        axes = tuple(range(self.fields.d))
-        moved = {} if self.moving is None else {"mesh_displacement": (self.moving.time.x, axes)}
-        return {"velocity": (self.w, axes), "pressure": (self.w, (len(axes),)), **moved}
 
     # -- systems ------------------------------------------------------------------------------------------------------
 
