@@ -24,19 +24,19 @@ def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled
     """Costs of steps of the valve that opens, on the ranks of this run."""
     demo = load_demo("heart_valve")
     logging.getLogger().setLevel(logging.ERROR)
-    across = (elements, max(1, round(0.8 * elements))) if elements else None
-    valve = demo.build(demo.Data(), resolution, elements=across, options=demo.options_of(preset))
+    scene = demo.Valve(resolution=resolution, leaflet_elements=elements, preset=preset)
+    flow, shell, fsi = scene.build(demo.Data())
     for _ in range(WARM_UP):
-        valve.fsi.takeStep()
+        fsi.takeStep()
     before, watch = rss_mib(), Stopwatch()
     with watch:
-        reports = [valve.fsi.takeStep() for _ in range(steps)]
+        reports = [fsi.takeStep() for _ in range(steps)]
     after = rss_mib()
     found = {
         "preset": preset,
-        "cells": valve.flow.mesh.domain.topology.index_map(3).size_global,
-        "dofs_fluid": valve.flow.unknowns,
-        "nodes_shell": len(valve.leaflets.positions),
+        "cells": flow.mesh.size,
+        "dofs_fluid": flow.unknowns,
+        "nodes_shell": len(shell.positions),
         "passes_mean": sum(report.passes for report in reports) / steps,
         "linear_iterations_mean": sum(report.linear_iterations for report in reports) / steps,
         "cpu_s_per_step": watch.cpu_s / steps,
@@ -48,7 +48,7 @@ def measure(resolution: int, elements: int, preset: str, steps: int, *, profiled
         profile = cProfile.Profile()
         profile.enable()
         for _ in range(min(steps, 20)):
-            valve.fsi.takeStep()
+            fsi.takeStep()
         profile.disable()
         found["shares"] = shares(pstats.Stats(profile))
     return found

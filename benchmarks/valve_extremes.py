@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from load import load_demo
 
-from coudalfish import CouplingOptions, StepError, advance
+from coudalfish import CouDALFISh, CouplingOptions, StepError, advance
+from coudalfish.valves import Leaflets
 from tigar_x.run import script
 from tigar_x.run.progress import Stopwatch
 from tigar_x.run.summary import write_summary
 
 demo = load_demo("heart_valve")
 SHORT = demo.Data(reversal=0.02)
-DT, UNTIL, RESOLUTION, ELEMENTS = 1e-4, 0.05, 10, (10, 8)
+DT, UNTIL, RESOLUTION, ELEMENTS = 1e-4, 0.05, 10, 10
 HEADER = (
     "case",
     "result",
@@ -44,19 +45,28 @@ class Case:
     dt_factor: float = 1.0
 
 
-def scaled(name: str, factor: float) -> Case:
-    """One number of the data times a factor."""
-    return Case(replace(SHORT, **{name: factor * getattr(SHORT, name)}))
+def scaled(name: str, factor: float, part: str = "") -> Case:
+    """One number of the data, or of a part of them, times a factor."""
+    if not part:
+        return Case(replace(SHORT, **{name: factor * getattr(SHORT, name)}))
+    whole = getattr(SHORT, part)
+    return Case(replace(SHORT, **{part: replace(whole, **{name: factor * getattr(whole, name)})}))
+
+
+def with_stiffness(factor: float) -> Case:
+    """Contact of another stiffness."""
+    kernel = replace(SHORT.contact.kernel, stiffness=factor * SHORT.contact.kernel.stiffness)
+    return Case(replace(SHORT, contact=replace(SHORT.contact, kernel=kernel)))
 
 
 def cases() -> dict[str, Case]:
     """All cases by name."""
     found = {"as it is": Case(SHORT)}
     for factor in (0.1, 10.0, 100.0):
-        found[f"contact stiffness x {factor:g}"] = scaled("contact_stiffness", factor)
+        found[f"contact stiffness x {factor:g}"] = with_stiffness(factor)
     for factor in (0.1, 10.0, 100.0):
-        found[f"E x {factor:g}"] = scaled("youngs_modulus", factor)
-    found["thickness x 0.5"] = scaled("thickness", 0.5)
+        found[f"E x {factor:g}"] = scaled("youngs_modulus", factor, "leaflet")
+    found["thickness x 0.5"] = scaled("thickness", 0.5, "leaflet")
     found["pressure x 10"] = Case(replace(SHORT, systolic=10.0 * SHORT.systolic, diastolic=10.0 * SHORT.diastolic))
     found["dt x 4"] = Case(SHORT, 4.0)
     found["massless shell"] = scaled("rho_s", 1e-9)
@@ -66,10 +76,10 @@ def cases() -> dict[str, Case]:
 
 @dataclass
 class Outcome:
-    """What a case did; ``valve`` is its last accepted state."""
+    """What a case did; ``fsi`` is its last accepted state, ``rows`` are opening areas and smallest distances."""
 
-    valve: Any
-    rows: list[tuple[float, ...]]
+    fsi: CouDALFISh
+    rows: list[tuple[float, float]]
     reports: list[Any]
     result: str = "ran"
     message: str = "-"
@@ -80,7 +90,7 @@ class Outcome:
     @property
     def is_finite(self) -> bool:
         """Whether the last accepted state and all that was recorded is finite."""
-        fsi = self.valve.fsi
+        fsi = self.fsi
         fields = (fsi.timeInt_f.x_old, fsi.timeInt_f.xdot_old, fsi.timeInt_sh.x_old, fsi.timeInt_sh.xdot_old)
         arrays = [*(f.x.array for f in fields), fsi.lam, np.array(self.rows)]
         return all(bool(np.isfinite(array).all()) for array in arrays)
@@ -90,20 +100,16 @@ class Outcome:
         """Largest approach of two points in a step, relative to the range of contact."""
         return max((report.contact.closing_ratio for report in self.reports), default=0.0)
 
-    def column(self, name: str) -> Any:
-        """A recorded quantity over time."""
-        return np.array(self.rows)[:, demo.COLUMNS.index(name)]
-
     def cells(self, name: str) -> list[str]:
         """A line of the table."""
         if not self.rows:
             return [name, self.result, *["-"] * (len(HEADER) - 3), self.message]
         passes = [report.passes for report in self.reports]
-        r_max = self.valve.leaflets.contact.kernel.r_max
+        openings, distances = np.transpose(self.rows)
         numbers = (
-            self.column("opening_area").max(),
-            self.column("opening_area")[-1],
-            self.column("smallest_distance").min() / r_max,
+            openings.max(),
+            openings[-1],
+            distances.min() / self.fsi.contactContext_sh.kernel.r_max,
             self.piercings,
             self.closing_ratio,
             max(report.slip_ratio for report in self.reports),
@@ -118,21 +124,21 @@ def run(
 ) -> Outcome:
     """Run a case until it ends or a step fails for good; every tenth step is looked at for leaflets that cross."""
     dt = case.dt_factor * DT
-    chosen = demo.options_of("default") if options is None else options
-    valve = demo.build(case.data, resolution, elements=ELEMENTS, dt=dt, options=chosen)
-    observe, outcome, watch = demo.Observer(valve), Outcome(valve, [], []), Stopwatch()
+    scene = demo.Valve(resolution=resolution, leaflet_elements=ELEMENTS, dt=dt)
+    _, shell, fsi = scene.build(case.data, options)
+    leaflets, outcome, watch = Leaflets(shell), Outcome(fsi, [], []), Stopwatch()
     for n in range(1, round(until / dt) + 1):
         try:
             with watch:
-                reports = advance(valve.fsi, dt, halvings=4)
+                reports = advance(fsi, dt, halvings=4)
         except StepError as error:
-            outcome.result, outcome.message = f"stopped at t = {valve.fsi.timeInt_f.time:.4g}", str(error)
+            outcome.result, outcome.message = f"stopped at t = {fsi.timeInt_f.time:.4g}", str(error)
             break
         outcome.reports += reports
         outcome.cuts += len(reports) - 1
-        outcome.rows.append(observe(reports[-1]))
+        outcome.rows.append((leaflets.opening(), min(reports[-1].contact.distance, shell.contact.kernel.r_max)))
         if n % 10 == 0:
-            outcome.piercings = max(outcome.piercings, valve.leaflets.piercings())
+            outcome.piercings = max(outcome.piercings, shell.piercings())
     outcome.cpu_s = watch.cpu_s
     return outcome
 
