@@ -9,6 +9,7 @@ from typing import Any, Literal
 from load import load_demo
 
 from coudalfish import CouplingOptions
+from coudalfish.problems import manufactured as problem
 from tigar_x.run import script
 from tigar_x.run.progress import Stopwatch, peak_rss_mib
 from tigar_x.run.summary import table, write_summary
@@ -16,21 +17,26 @@ from tigar_x.run.summary import table, write_summary
 demo = load_demo("manufactured")
 
 # Cumulative times of (file, function); what a function does inside another one of the table is taken from that one.
+FLUID, STEP = "coudalfish/sides/fluid.py", "coudalfish/step/attempt.py"
 PARTS = {
-    "fluid: assembly": [],
-    "fluid: linear solve": [("subproblems.py", "solve")],
-    "coupling: location, B, band": [("trace.py", "locate"), ("trace.py", "trace_matrix"), ("band.py", "update")],
-    "coupling: forces and tangent": [
-        ("subproblems.py", "load"),
-        ("subproblems.py", "add"),
-        ("subproblems.py", "velocity_at"),
-        ("step.py", "forces"),
-        ("exchange.py", "lumped_tangent"),
-        ("exchange.py", "consistent_tangent"),
+    "fluid: assembly": [(FLUID, "assemble_residual"), (FLUID, "assemble_tangent")],
+    "fluid: linear solve": [(FLUID, "solve")],
+    "coupling: location, B, band": [
+        ("coudalfish/surface/trace.py", "locate"),
+        ("coudalfish/surface/trace.py", "trace_matrix"),
+        ("coudalfish/surface/band.py", "update"),
     ],
-    "coupling: normals, multiplier, monitors": [("subproblems.py", "normals"), ("step.py", "_finish")],
-    "acceptance test": [("step.py", "_accepted")],
-    "shell": [("step.py", "_shell_residual"), ("step.py", "_solve_shell")],
+    "coupling: forces and tangent": [
+        (FLUID, "load"),
+        (FLUID, "add"),
+        (FLUID, "velocity_at"),
+        (STEP, "forces"),
+        ("coudalfish/surface/exchange.py", "lumped_tangent"),
+        ("coudalfish/surface/exchange.py", "consistent_tangent"),
+    ],
+    "coupling: normals, multiplier, monitors": [("coudalfish/surface/sheets.py", "__call__"), (STEP, "_finish")],
+    "acceptance test": [(STEP, "_accepted")],
+    "shell": [(STEP, "_shell_residual"), (STEP, "_solve_shell")],
 }
 
 
@@ -38,7 +44,7 @@ def cumulative(stats: pstats.Stats, file: str, function: str, caller: str | None
     """Cumulative seconds of a function, over all callers or those of one name."""
     total = 0.0
     for (path, _, name), (_, _, _, time, callers) in stats.stats.items():  # type: ignore[attr-defined]
-        if name == function and Path(path).name == file:
+        if name == function and Path(path).as_posix().endswith(file):
             if caller is None:
                 total += time
             else:
@@ -47,15 +53,19 @@ def cumulative(stats: pstats.Stats, file: str, function: str, caller: str | None
 
 
 def shares(stats: pstats.Stats) -> dict[str, float]:
-    """Share of every part in a step."""
-    whole = cumulative(stats, "coupler.py", "takeStep")
+    """Share of every part in a step.
+
+    Raises:
+        ValueError: nothing is found of a part: its functions have other names.
+    """
+    whole = cumulative(stats, "coudalfish/coupler.py", "takeStep")
     seconds = {part: sum(cumulative(stats, *place) for place in places) for part, places in PARTS.items()}
-    shell_solve = cumulative(stats, "subproblems.py", "solve", "_solve_shell")
-    fluid_assembly = cumulative(stats, "subproblems.py", "assemble_residual", "_fluid_residual")
-    fluid_assembly += cumulative(stats, "subproblems.py", "assemble_tangent", "_solve_fluid")
-    inside = cumulative(stats, "subproblems.py", "load") + cumulative(stats, "subproblems.py", "add")
-    seconds["fluid: assembly"] = fluid_assembly - inside
-    seconds["fluid: linear solve"] -= shell_solve
+    seconds["fluid: assembly"] -= cumulative(stats, FLUID, "load") + cumulative(stats, FLUID, "add")
+    seconds["acceptance test"] -= cumulative(stats, STEP, "forces", "_accepted")
+    seconds["shell"] -= cumulative(stats, STEP, "forces", "<lambda>")  # of the shell's residual
+    missing = [part for part, value in seconds.items() if value <= 0.0]
+    if missing:
+        raise ValueError(f"PARTS: nothing is found of {', '.join(missing)}")
     seconds["the rest"] = whole - sum(seconds.values())
     return {part: value / whole for part, value in seconds.items()}
 
@@ -82,8 +92,8 @@ def main(
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     reference = preset == "reference"
     options = CouplingOptions.reference() if reference else CouplingOptions()
-    whole = 2 * demo.cells_per_side(level)
-    fsi = demo.build(dim, level, whole, options, projected=reference, data=demo.Data())
+    whole = 2 * problem.cells_per_side(level)
+    *_, fsi = demo.build(dim, level, whole, options, projected=reference, data=problem.ProblemData())
     fsi.takeStep()
     watch, profile = Stopwatch(), cProfile.Profile()
     with watch:

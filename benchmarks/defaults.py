@@ -16,6 +16,7 @@ from load import load_demo
 from stability import duct, through_duct
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
+from coudalfish.problems import manufactured as problem
 from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu
 from tigar_x.run import script
 from tigar_x.run.progress import Stopwatch
@@ -40,9 +41,9 @@ def run(
     **data: float,
 ) -> tuple[Any, ...]:
     """One row: what it cost and its errors (degree-8 quadrature), or why it failed."""
-    chosen = replace(demo.Data(), **data)
-    steps = max(1, round(2 * demo.cells_per_side(level) / dt_factor))
-    fsi = demo.build(2, level, steps, options, solver, projected=projected, data=chosen)
+    chosen = replace(problem.ProblemData(), **data)
+    steps = max(1, round(2 * problem.cells_per_side(level) / dt_factor))
+    *_, fsi = demo.build(2, level, steps, options, solver, projected=projected, data=chosen)
     watch, reports = Stopwatch(), []
     try:
         with watch:
@@ -50,14 +51,15 @@ def run(
                 reports.append(fsi.takeStep())
     except StepError as error:
         return (setting, len(reports), *["-"] * 6, f"failed: {error}")
-    errors = demo.errors(fsi, chosen, chosen.T, 8)
+    errors = problem.errors(fsi, chosen, chosen.T, 8)
     passes, linear = sum(r.passes for r in reports), sum(r.linear_iterations for r in reports)
     return (setting, steps, passes, linear, watch.cpu_s, *(errors[n] for n in ("L2_u", "H1_u", "L2_p", "L2_y")))
 
 
 def hard(C: float, **options: Any) -> tuple[Any, ...]:
     """One row: a penalty of C mu/h and what steps get that need many passes; level 3, dt x 4."""
-    mu_h = demo.Data().mu * demo.cells_per_side(3) / demo.Data().L
+    data = problem.ProblemData()
+    mu_h = data.mu * problem.cells_per_side(3) / data.L
     name = ", ".join([f"C {C:g}", *(f"{key} {value}" for key, value in options.items())])
     return run(name, replace(DEFAULT, penalty=C * mu_h, **options), level=3, dt_factor=4)
 

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from load import load_demo, on_ranks
 
 from coudalfish import CouplingOptions
+from coudalfish.problems import manufactured as problem
 from tigar_x.fem.linear import direct
 from tigar_x.run import script
 from tigar_x.run.progress import Stopwatch
@@ -21,17 +22,16 @@ TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-14)
 
 def measure(dim: int, level: int, tight: bool, steps: int) -> dict[str, Any]:
     """Errors after some steps, and wall seconds per step, on the ranks of this run."""
-    demo = load_demo("manufactured")
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
-    data, whole = demo.Data(), 2 * demo.cells_per_side(level)
+    data, whole = problem.ProblemData(), 2 * problem.cells_per_side(level)
     options, solver = (TIGHT, direct()) if tight else (CouplingOptions(), None)
-    fsi = demo.build(dim, level, whole, options, solver, projected=False, data=data)
+    *_, fsi = load_demo("manufactured").build(dim, level, whole, options, solver, projected=False, data=data)
     fsi.takeStep()
     watch = Stopwatch()
     with watch:
         for _ in range(steps - 1):
             fsi.takeStep()
-    errors = demo.errors(fsi, data, fsi.timeInt_f.time, 2)
+    errors = problem.errors(fsi, data, fsi.timeInt_f.time, 2)
     return {"errors": errors, "wall_s_per_step": watch.wall_s / max(1, steps - 1)}
 
 

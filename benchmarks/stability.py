@@ -35,6 +35,7 @@ from coudalfish import (
     StepReport,
     SurfaceBand,
 )
+from coudalfish.problems import manufactured as problem
 from shnapr.loads import inertia
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import strain_energy, virtual_work
@@ -252,11 +253,6 @@ def box(
     return SimpleNamespace(fsi=fsi, rotation=Q, start=wave, energies=(kinetic, shell.energy))
 
 
-def demo() -> Any:
-    """The manufactured problem's module."""
-    return load_demo("manufactured")
-
-
 # -- running ----------------------------------------------------------------------------------------------------------
 
 Reports = list[StepReport]
@@ -414,11 +410,11 @@ def manufactured(
     **data: float,
 ) -> tuple[Reports, Observed]:
     """The manufactured problem at a level, all of it or its first steps; errors with quadrature of degree 2."""
-    module = demo()
-    chosen, steps = replace(module.Data(), **data), round(2 * module.cells_per_side(level) / dt_factor)
-    fsi = module.build(2, level, steps, options or CouplingOptions(), direct(), projected=False, data=chosen)
+    chosen, steps = replace(problem.ProblemData(), **data), round(2 * problem.cells_per_side(level) / dt_factor)
+    build = load_demo("manufactured").build
+    *_, fsi = build(2, level, steps, options or CouplingOptions(), direct(), projected=False, data=chosen)
     reports = advance(fsi, only or steps)
-    return reports, module.errors(fsi, chosen, fsi.timeInt_f.time, 2)
+    return reports, problem.errors(fsi, chosen, fsi.timeInt_f.time, 2)
 
 
 def energy(scene: SimpleNamespace) -> Callable[[], float]:

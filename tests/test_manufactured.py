@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import breakdown
 import numpy as np
 import pytest
 import ufl
@@ -9,6 +10,7 @@ from mpi4py import MPI
 from load import load_demo
 
 from coudalfish import CouplingOptions, PenaltyRule
+from coudalfish.problems import manufactured as problem
 
 DEMO = load_demo("manufactured")
 NORMS = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
@@ -45,23 +47,23 @@ def test_reference_preset_reproduces_the_published_algorithm(start, level, tmp_p
 def test_one_layer_reference_equals_the_published_code(level, tmp_path):
     """Same equations, same mesh, same stopping test: the same errors, in three passes a step."""
     summary = DEMO.main(dim=3, level=level, preset="reference", out=tmp_path, viz=False)
-    for norm, published in DEMO.PUBLISHED_CODE[level].items():
+    for norm, published in problem.PUBLISHED_CODE[level].items():
         assert summary["errors"][norm] == pytest.approx(published, rel=2e-3), norm
     assert summary["block_iterations_mean"] == pytest.approx(3.0, abs=0.1)
 
 
 def odd_orders(dim, relaxation):
     """Orders between levels 3 and 4 of the reference with no parameter equal to one or zero."""
-    data = DEMO.Data(L=1.3, H=0.4, V=0.8, DP=2.0, mu=0.07, rho=1.6, rho_s=2.5, rho_infinity=0.5)
+    data = problem.ProblemData(L=1.3, H=0.4, V=0.8, DP=2.0, mu=0.07, rho=1.6, rho_s=2.5, rho_infinity=0.5)
     penalty = PenaltyRule(1.7, 0.0)
     options = replace(CouplingOptions.reference(), penalty=penalty, relaxation=relaxation, scale_m=1e-2, scale_c=1e-2)
     errors = []
     for level in (3, 4):
-        steps = 2 * DEMO.cells_per_side(level)
-        fsi = DEMO.build(dim, level, steps, options, projected=True, data=data)
+        steps = 2 * problem.cells_per_side(level)
+        *_, fsi = DEMO.build(dim, level, steps, options, projected=True, data=data)
         for _ in range(steps):
             fsi.takeStep()
-        errors.append(DEMO.errors(fsi, data, data.T, 8))
+        errors.append(problem.errors(fsi, data, data.T, 8))
     return {norm: np.log2(errors[0][norm] / errors[1][norm]) for norm in NORMS}
 
 
@@ -91,7 +93,7 @@ def test_default_preset_converges(tmp_path):
     assert orders["H1_u"] >= 0.5
     assert orders["L2_u"] >= 1.0
     assert orders["L2_y"] >= 0.9
-    published = DEMO.PUBLISHED_CODE[4]
+    published = problem.PUBLISHED_CODE[4]
     assert all(summaries[2]["errors"][norm] < published[norm] for norm in NORMS)
     assert summaries[3]["errors"]["H1_u"] < 0.12
     assert all(s["monitors"]["force_imbalance_max"] < 1e-12 for s in summaries)
@@ -111,19 +113,19 @@ def test_reference_preset_converges(tmp_path):
 
 def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
     """The same bounds fail when the flow is driven by another force: the convergence test can tell."""
-    right = DEMO.exact_flow
+    right = problem.exact_flow
 
     def wrong(x, t, c):
         exact = right(x, t, c)
         exact.f = exact.f + 5.0 * ufl.as_vector([x[1], -x[0]])
         return exact
 
-    monkeypatch.setattr(DEMO, "exact_flow", wrong)
+    monkeypatch.setattr(problem, "exact_flow", wrong)
     summaries = [DEMO.main(level=level, out=tmp_path / str(level), viz=False) for level in (2, 3, 4)]
     orders = fitted_orders(summaries)
     assert orders["L2_u"] < 0.5
     assert orders["L2_y"] < 0.5
-    assert summaries[2]["errors"]["L2_u"] > 5 * DEMO.PUBLISHED_CODE[4]["L2_u"]
+    assert summaries[2]["errors"]["L2_u"] > 5 * problem.PUBLISHED_CODE[4]["L2_u"]
 
 
 @pytest.mark.mpi
@@ -142,3 +144,12 @@ class SelfOnly:
     """Stands for mpi4py.MPI with a world of one rank, so that every rank computes the whole problem."""
 
     COMM_WORLD = COMM_SELF = MPI.COMM_SELF
+
+
+@pytest.mark.parametrize("preset", ["reference", "default"])
+def test_the_profile_of_a_step_finds_all_its_parts(preset, tmp_path):
+    """They are found by files and names of functions; a step has nothing else to do that takes long."""
+    found = breakdown.main(level=1, preset=preset, steps=2, out=tmp_path)["shares"]
+    assert set(found) == {*breakdown.PARTS, "the rest"}
+    assert all(0.0 < share < 0.9 for share in found.values())
+    assert sum(found.values()) == pytest.approx(1.0)

@@ -274,15 +274,16 @@ def test_a_demo_that_is_told_to_end_goes_on(tmp_path, monkeypatch):
     """The history, the series and the summary of the demo are those of a run that was never ended."""
     demo = load_demo("manufactured")
     whole = demo.main(**demo.TOY, out=tmp_path / "whole")
-    in_numbers = demo.in_numbers
+    step = demo.CouDALFISh.takeStep
 
-    def told_to_end(report):
+    def told_to_end(fsi, measure=None):
+        report = step(fsi, measure)
         if report.t > 0.4:
             os.kill(os.getpid(), signal.SIGTERM)
-        return in_numbers(report)
+        return report
 
     with monkeypatch.context() as patch:
-        patch.setattr(demo, "in_numbers", told_to_end)
+        patch.setattr(demo.CouDALFISh, "takeStep", told_to_end)
         assert demo.main(**demo.TOY, out=tmp_path / "ended") == {}
     assert [path.name for path in (tmp_path / "ended" / "checkpoints").iterdir()] == ["checkpoint_00000005.npz"]
     resumed = demo.main(**demo.TOY, out=tmp_path / "ended", restart="latest")

@@ -22,17 +22,13 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
-from dolfinx import mesh
 
 from coudalfish.coupler import CouDALFISh
-from coudalfish.sides.shell import ShellSubproblem
-from shnapr.loads import dead_load, inertia
+from shnapr.conditions import DeadLoad
+from shnapr.shell import Shell
 from shnapr.svk import StVenantKirchhoff
-from shnapr.work import strain_energy, virtual_work
 from tigar_x import checks, compat
 from tigar_x.fem.linear import direct
-from tigar_x.fem.schemes import generalized_alpha
-from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.geometry import shapes
 from tigar_x.run.script import constants
 from tigar_x.splines.spline import ExtractedSpline
@@ -132,46 +128,33 @@ def cells_per_side(level: int) -> int:
     return 3 * 2 ** checks.whole("level", level, 0)
 
 
-def square(comm: MPI.Comm, data: ProblemData, d: int, level: int) -> mesh.Mesh:
-    """The fluid's mesh at a refinement level.
+def fluid_box(data: ProblemData, d: int, level: int) -> tuple[list[float], list[float], list[int]]:
+    """Size of the fluid's mesh at a refinement level.
 
     Args:
-        comm: communicator.
         data: of the problem.
         d: dimension of space, 2 or 3 (one layer).
         level: refinement level.
 
     Returns:
-        Triangles or tetrahedra.
+        Lowest corner, highest corner, and numbers of cells along the axes.
     """
-    N = cells_per_side(level)
-    slack = 3e-8 * data.L  # the membrane's ends lie on the boundary: keep them inside whatever the rounding
-    corners = np.array([[-slack] * 3, [data.L + slack, data.L + slack, data.H + slack]])[:, :d]
-    if d == 2:
-        return mesh.create_rectangle(comm, corners, [N, N], mesh.CellType.triangle)
-    return mesh.create_box(comm, list(corners), [N, N, 1], mesh.CellType.tetrahedron)
+    N, slack = cells_per_side(level), 3e-8 * data.L  # the membrane's ends lie on the boundary: they have to be inside
+    return [-slack] * d, [data.L + slack, data.L + slack, data.H + slack][:d], [N, N, 1][:d]
 
 
-def on_extrusion_ends(x: Any, data: ProblemData) -> Any:
-    """Mask of the points on x_3 = 0 and x_3 = H."""
-    return np.isclose(x[2], 0.0, atol=1e-6 * data.L) | np.isclose(x[2], data.H, atol=1e-6 * data.L)
-
-
-def on_sides(data: ProblemData) -> list[Any]:
-    """Masks of the points on the four sides x_1, x_2 = 0, L, one function for each."""
-    places = [(i, value) for i in (0, 1) for value in (0.0, data.L)]
-    return [lambda x, i=i, value=value: np.isclose(x[i], value, atol=1e-6 * data.L) for i, value in places]
-
-
-def membrane(data: ProblemData, d: int, elements: int, dt: float, projected: bool) -> ShellSubproblem:
+def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = False) -> Shell:
     """The membrane: linear B-splines, fixed ends, no bending; nothing moves along the direction of an extrusion.
 
     Args:
         data: of the problem.
         d: dimension of space.
         elements: of the line.
-        dt: time step.
-        projected: whether the velocity at t = 0 is projected, as in the published code, or interpolated.
+        projected: whether the velocity at t = 0 is projected, as in the published code, or interpolated; a projection
+            leaves a small one at the ends, which do not move.
+
+    Returns:
+        A shell that gets its clock from the flow.
     """
     corner = (data.L / 2, 0.0, 0.0)
     if d == 2:
@@ -183,22 +166,18 @@ def membrane(data: ProblemData, d: int, elements: int, dt: float, projected: boo
     zero_dofs = np.concatenate([patch.side_dofs("u0"), patch.side_dofs("u1"), along])
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
     c = constants(spline.mesh, data)
-    speed = exact_displacement(spline.F, 1.0, c)
-    if projected:
-        velocity = spline.project(speed)
-    else:
-        s = patch.points[:, 1]
-        velocity = spline.function(np.outer(data.V * (data.L * s - s**2), np.eye(d)[0]))
-
-    y, z = spline.function(name="y"), ufl.TestFunction(spline.V)
-    scheme = generalized_alpha(data.rho_infinity, 2, first_order_alpha_m=True)
-    time = TimeIntegrator(y, dt, scheme, xdot=velocity)
     prestress = (c.prestress,) if d == 2 else (c.prestress, 0.0, 0.0)
-    material = StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=prestress, bending=False)
-    residual = virtual_work(spline, lambda y: strain_energy(spline, material, y), time.x_alpha, z)
-    residual += inertia(spline, time.xddot_alpha, z, density=c.rho_s, thickness=c.thickness)
-    residual += dead_load(spline, membrane_load(spline.F, time.t_alpha, c), z)
-    return ShellSubproblem(spline, residual, time, solver=direct("petsc"))
+    shell = Shell(
+        spline,
+        StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=prestress, bending=False),
+        density=c.rho_s,
+        loads=[DeadLoad(lambda X, t: membrane_load(X, t, c))],
+        solver=direct("petsc"),
+    )
+    s, speed = patch.points[:, 1], exact_displacement(spline.F, 1.0, c)
+    at_points = np.outer(data.V * (data.L * s - s**2), np.eye(d)[0])
+    shell.start(velocity=spline.free(d).coefficients(spline.project(speed)) if projected else at_points)
+    return shell
 
 
 def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int) -> dict[str, float]:
