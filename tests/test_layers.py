@@ -1,6 +1,7 @@
 """The house stands: imports point down, nothing goes in circles, and every module and function is of a size to read."""
 
 import ast
+import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -309,3 +310,23 @@ def test_demos_do_not_import_each_other():
     names = {path.stem for path in demos}
     for path in demos:
         assert not names & {name.split(".")[0] for name in imports(ast.parse(path.read_text()))}
+
+
+def unlisted(text: str) -> list[str]:
+    """Modules that the tables of floors, one a package, do not name, each beside its sub-package."""
+    package, named = "", set()
+    for line in text.split("## Floors")[1].split("\n## ")[0].splitlines():
+        cells = line.split("|")
+        if len(cells) == 4 and cells[2].strip() == "holds":
+            package = cells[1].strip(" `")
+        elif len(cells) == 4:
+            rooms = [f"{package}.{name}" for name in re.findall(r"`(\w+)`", cells[1])]
+            named.update(rooms, (f"{room}.{word}" for room in rooms for word in re.findall(r"\w+", cells[2])))
+    own = {name for name in NAMES if name.count(".") == 2 and name.split(".")[1] == name.split(".")[2]}  # flow.flow
+    return sorted(NAMES - named - own - set(BELOW))
+
+
+def test_the_layout_in_the_documents_has_every_module():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    assert unlisted(text) == []
+    assert unlisted(text.replace("petsc_options", "")) == ["tigar_x.fem.petsc_options"]
