@@ -1,21 +1,17 @@
 """Vibration of a thin beam: eigenvalues of a plane Kirchhoff-Love shell against those of Euler and Bernoulli.
 
-The beam is straight, of length L, and bends in the plane by strips of unit depth. Its circular frequencies are
+A straight beam of length L that bends in the plane has, per unit depth, the circular frequencies
 
     omega_n^2 = (beta_n / L)^4 E' h^2 / (12 rho),    E' = E/(1 - nu^2),
 
 with cos(beta) cosh(beta) = -1 for a beam that is clamped at one end and free at the other, and beta_n = n pi for one
 that is simply supported at both. The stiffness is the tangent of the shell's virtual work at rest, the mass that of its
-inertia, so this is a check of both; stretching is part of the model, but far stiffer than bending.
-
-Eigenvalues of splines of degree p >= 2 are too large by a part that falls with h^(2p-2). Source: J. A. Cottrell,
-A. Reali, Y. Bazilevs, T. J. R. Hughes, "Isogeometric analysis of structural vibrations",
-doi:10.1016/j.cma.2005.09.027.
+inertia. Eigenvalues of splines of degree p >= 2 are too large by a part that falls with h^(2p-2). Source: J. A.
+Cottrell, A. Reali, Y. Bazilevs, T. J. R. Hughes, doi:10.1016/j.cma.2005.09.027.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -40,10 +36,9 @@ def coarse_patch(geometry: str) -> Patch:
 
 def wave_numbers(support: str, modes: int) -> FloatArray:
     """The first roots beta_n."""
-    n = np.arange(1, modes + 1)
-    if support == "simply-supported":
-        return n * np.pi
-    return np.array([brentq(lambda b: np.cos(b) + 1.0 / np.cosh(b), (i - 1) * np.pi, i * np.pi, xtol=1e-14) for i in n])
+    n = np.arange(1, modes + 1) * np.pi
+    roots = (brentq(lambda b: np.cos(b) + 1.0 / np.cosh(b), b - np.pi, b, xtol=1e-14) for b in n)
+    return n if support == "simply-supported" else np.array(list(roots))
 
 
 @dataclass(frozen=True)
@@ -96,7 +91,7 @@ def main(
     if results.viz:
         write_modes(results.out / "beam_modes", found.beam.spline, found.modes)
         modes = mode_curves(found.beam.spline, found.modes, length="length")
-        draw(results.out / "beam_modes.png", modes, partial(study.draw, against="elements"))
+        draw(results.out / "beam_modes.png", modes, lambda axes: study.draw(axes, against="elements"))
     qoi = by_mode({"value": v, "exact": e} for v, e in zip(found.modes.values, found.exact, strict=True))
     return results.convergence(study, f"{support} beam, {geometry}, degree {p}", qoi=qoi, steps=count)
 
