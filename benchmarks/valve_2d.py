@@ -22,8 +22,10 @@ from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu
 from tigar_x.run import script
+from tigar_x.run.course import Course
 from tigar_x.run.figure import draw, lines
 from tigar_x.run.progress import Stopwatch, peak_rss_mib, rss_mib
+from tigar_x.run.summary import table
 
 DEFAULT = CouplingOptions()
 REFERENCE = replace(CouplingOptions.reference(), block_rtol=1e-2)
@@ -89,33 +91,22 @@ def measure(case: Case) -> dict[str, Any]:
     """Run a case: its costs, monitors and the history of its tips; with "failed" when a step failed."""
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     demo = load_demo("valve_2d")
-    data = demo.Data(rho_infinity=case.rho_infinity)
-    dt = case.dt_factor * data.T / (32 * case.elements)
-    steps = round(data.T / dt)
-    valve = demo.build(
-        case.dim,
-        case.elements,
-        dt,
-        case.options,
-        leaflet_elements=case.leaflet_elements,
-        degree=case.degree,
-        mirrored=case.mirrored,
-        invariant_metric=case.invariant_metric,
-        solver=case.solver,
-        data=data,
-    )
+    names = ("dim", "elements", "leaflet_elements", "degree", "mirrored", "dt_factor", "invariant_metric")
+    valve = demo.Valve(**{name: getattr(case, name) for name in names})
+    flow, shell, fsi = valve.build(case.options, case.solver, rho_inf=case.rho_infinity)
     watch, reports, rows, memory, failed = Stopwatch(), [], [], [], None
     try:
-        for _ in range(steps):
+        for _ in range(round(3.0 / fsi.step_size)):
             with watch:
-                reports.append(valve.fsi.takeStep())
-            rows.append((reports[-1].t, *valve.tips()[:, 0]))
+                reports.append(fsi.takeStep())
+            rows.append((reports[-1].t, *(float(shell.at("tip", patch=k).displacement[0]) for k in (0, 1))))
             memory.append(rss_mib())
     except StepError as error:
         failed = str(error)
     passes = [report.passes for report in reports] or [0]
     leak = np.array([report.monitors.leak for report in reports])
-    entered = valve.data.inflow(np.array([row[0] for row in rows]), valve.ramp).sum()
+    fastest = [float(demo.inflow((0.0, demo.HEIGHT / 2.0), t, fsi.step_size)[0]) for t, *_ in rows]
+    entered = sum(2.0 * demo.HEIGHT / 3.0 * speed for speed in fastest)
     return {
         "failed": failed,
         "history": rows,
@@ -128,7 +119,7 @@ def measure(case: Case) -> dict[str, Any]:
         "cpu_s": watch.cpu_s,
         "peak_rss_mib": peak_rss_mib(),
         "rss_growth_mib": memory[-1] - memory[min(9, len(memory) - 1)] if memory else 0.0,
-        "dofs_fluid": valve.flow.unknowns,
+        "dofs_fluid": flow.unknowns,
     }
 
 
@@ -210,7 +201,6 @@ def curve(history: list[list[float]], t: FloatArray) -> FloatArray:
 
 def row(study: str, case: Case, result: dict[str, Any], finest: list[list[float]]) -> dict[str, Any]:
     """One line of the table."""
-    demo = load_demo("valve_2d")
     line: dict[str, Any] = {"study": study, "setting": case.setting, "dim": case.dim, "elements": case.elements}
     line |= {"mirrored": case.mirrored, "dt_factor": case.dt_factor}
     line |= {key: result[key] for key in COLUMNS if key in result}
@@ -222,7 +212,8 @@ def row(study: str, case: Case, result: dict[str, Any], finest: list[list[float]
     line["error"] = float(np.sqrt(np.mean((here - curve(finest, t)) ** 2)))
     line["asymmetry"] = float(np.abs(here[1] - here[0]).max())
     times, _, top = np.array(result["history"]).T
-    return line | {name: value for name, (_, value) in demo.extrema(times, top).items()}
+    reached = Course(times, top).extremes(1.0, 0.6, accuracy=load_demo("valve_2d").READING)
+    return line | {name: extreme.value for name, extreme in reached.items()}
 
 
 def plot(path: Path, rows: list[dict[str, Any]], curves: dict[str, FloatArray]) -> None:
@@ -286,8 +277,8 @@ def main(
             values = [line.get(name, "-") for name in shown]
             print("| " + " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in values) + " |")
         rows += lines
-    with open(out / "valve_2d.csv", "w", newline="") as table:
-        writer = csv.DictWriter(table, COLUMNS)
+    with open(out / "valve_2d.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
     plot(out / "valve_2d.png", rows, curves)
@@ -317,7 +308,7 @@ def compare(rows: list[dict[str, Any]], elements: int = 16) -> None:
     """Print what runs cost that are as fine as that of the published code, relative to it."""
     published = legacy_valve("valve_2d")
     step = published["cpu_s_per_step"]
-    table = [
+    beside = [
         (
             r["setting"],
             r["dofs_fluid"],
@@ -331,10 +322,10 @@ def compare(rows: list[dict[str, Any]], elements: int = 16) -> None:
         if r["study"] == "meshes" and r["elements"] == elements
     ]
     growth = published["growth_mib_per_step"]
-    table.append(("published code", int(published["dofs_fluid"]), published["passes_mean"], step, 1.0, 1.0, growth))
+    beside.append(("published code", int(published["dofs_fluid"]), published["passes_mean"], step, 1.0, 1.0, growth))
     header = ("run", "fluid unknowns", "passes", "CPU s/step (scaled)", "ratio", "ratio of runs to T = 3", "MiB/step")
     print()
-    print(table(header, table))
+    print(table(header, beside))
 
 
 if __name__ == "__main__":

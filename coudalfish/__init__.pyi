@@ -4,6 +4,7 @@ from coudalfish.coupler import CouDALFISh as CouDALFISh
 from coudalfish.intervals import advance as advance
 from coudalfish.restart import CoupledState as CoupledState
 from coudalfish.sides.fluid import FluidSubproblem as FluidSubproblem
+from coudalfish.sides.objects import fluid_side as fluid_side
 from coudalfish.sides.shell import ShellSubproblem as ShellSubproblem
 from coudalfish.step.options import CouplingOptions as CouplingOptions
 from coudalfish.step.options import PenaltyRule as PenaltyRule

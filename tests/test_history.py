@@ -144,6 +144,32 @@ def test_flat_tops_are_read_in_the_middle():
     assert course.highest(0.0, 1.0).t > 0.9  # the last of the top
 
 
+def test_what_is_driven_has_a_peak_and_a_trough_in_every_period():
+    t = 1e3 * np.linspace(0.0, 3.0, 400)[1:]
+    driven = Course(t, 0.45 + 0.13 * np.cos(2 * np.pi * (t / 1e3 - 0.27)))
+    found = driven.extremes(1e3, 0.6, accuracy=0.005)
+    assert list(found) == [f"{kind}_{n}" for n in (1, 2, 3) for kind in ("peak", "trough")]
+    for n in (1, 2, 3):
+        peak, trough = found[f"peak_{n}"], found[f"trough_{n}"]
+        assert (peak.t, trough.t) == pytest.approx((1e3 * (n - 0.73), 1e3 * (n - 0.23)), abs=0.1)
+        assert (peak.value, trough.value) == pytest.approx((0.58, 0.32), abs=1e-4)
+
+
+def test_peaks_and_troughs_that_are_not_reached_or_at_an_end_of_their_part_are_left_out():
+    t = np.linspace(0.0, 3.0, 400)[1:]
+    y = np.cos(2 * np.pi * (t - 0.27))
+    assert set(Course(t, y)[t < 1.7].extremes(1.0, 0.6)) == {"peak_1", "trough_1", "peak_2"}
+    assert set(Course(t, y).extremes(1.0, 0.2)) == {"trough_1", "trough_2", "trough_3"}
+    assert not Course(t, t).extremes(1.0, 0.6)
+    assert not Course([], []).extremes(1.0)
+
+
+@pytest.mark.parametrize(("period", "split", "name"), [(0.0, 0.5, "period = 0.0"), (1.0, 1.5, "split = 1.5")])
+def test_periods_and_their_parts_are_checked(period, split, name):
+    with pytest.raises(ValueError, match=name):
+        sine().extremes(period, split)
+
+
 def test_parts_of_a_course():
     course = Course(np.arange(11.0), np.arange(11.0) ** 2)
     assert list(course.between(2.0, 4.0).t) == [2, 3, 4]

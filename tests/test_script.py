@@ -18,7 +18,7 @@ import pytest
 from tigar_x import compat
 from tigar_x.run import progress, script
 from tigar_x.run.progress import Progress, Stopwatch, Termination, peak_rss_mib, rss_mib
-from tigar_x.run.summary import Quantity, table, write_summary
+from tigar_x.run.summary import Quantity, against, deviations, table, write_summary
 
 
 @pytest.fixture(autouse=True)
@@ -314,6 +314,11 @@ def test_summary(tmp_path):
     assert read["monitors"] == [True, [1, 2.5]]
     assert read["peak_rss_mib"] > 1.0
     assert {"dolfinx", "petsc", "python"} <= set(read["versions"])
+
+
+def test_quantities_deviate_from_what_is_published_of_them():
+    found = against({"low": 1.5, "high": 3.0, "alone": 7.0}, {"low": 2.0, "high": 2.0, "absent": 1.0}, "10.1/x")
+    assert deviations(found) == {"low": 0.5, "high": 1.0}
 
 
 @pytest.mark.parametrize("bad", [float("nan"), np.float64("inf"), np.float32("nan")])

@@ -34,6 +34,16 @@ def test_line_has_constant_speed(degree, end):
     np.testing.assert_allclose(patch.evaluate(s), start + s * (np.array(end) - start), rtol=0, atol=1e-14)
 
 
+def test_ends_of_a_line_have_the_names_that_are_given():
+    line = shapes.line((0.0, 0.0), (0.0, 1.0), elements=3, side_names={"wall": (0, 1), "tip": (0, 0)})
+    swept = shapes.extruded(line, (0.0, 0.0, 2.0))
+    for patch in (line, swept):
+        assert patch.points[patch.side("wall"), 1] == pytest.approx(1.0)
+        assert patch.points[patch.side("tip"), 1] == pytest.approx(0.0)
+    with pytest.raises(ValueError, match="root"):
+        shapes.line((0.0, 0.0), (0.0, 1.0), elements=3, side_names={"root": (1, 0)})
+
+
 @pytest.mark.parametrize("nsd", [2, 3])
 def test_parallelogram_is_bilinear(nsd):
     corner, e0, e1 = (np.array(a, dtype=float)[:nsd] for a in ([1, 2, 3], [2, 0.5, 1], [-1, 1, 0]))

@@ -1,9 +1,7 @@
 """The plane valve: supports, symmetry, both dimensions, memory, and the published tip curve."""
 
-import csv
 import itertools
 import logging
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,18 +12,30 @@ from load import load_demo
 from coudalfish import CouplingOptions
 from tigar_x import compat
 from tigar_x.fem.linear import direct
+from tigar_x.run.history import History
 from tigar_x.run.progress import rss_mib
 from varmint.mesh import box
 from varmint.mesh.arrays import mirrored_box
 
 DEMO = load_demo("valve_2d")
-DATA = DEMO.Data()
-COARSE = {"elements": 8, "leaflet_elements": 8}
+E, NU, H = (getattr(DEMO.SVK, name) for name in ("youngs_modulus", "poisson_ratio", "thickness"))
 
 
-def run(d=2, steps=24, dt=0.01, **options):
+def built(d=2, dt=0.01, elements=8, options=None, data=None, **discretisation):
+    """A coarse valve with a time step, and its tips: displacements of bottom and top, shape (2, d)."""
+    of = {"dim": d, "leaflet_elements": 8, "dt_factor": dt * 32 * elements / 3.0, "mirrored": False}
+    valve = DEMO.Valve(elements=elements, **(of | discretisation))
+    flow, shell, fsi = valve.build(options, direct(), **(data or {}))
+
+    def tips():
+        return np.array([shell.at("tip", patch=k).displacement for k in (0, 1)])
+
+    return SimpleNamespace(flow=flow, shell=shell, fsi=fsi, tips=tips)
+
+
+def run(d=2, steps=24, **options):
     """A coarse valve after some steps and the history of its tips, shape (steps, 2, d)."""
-    valve = DEMO.build(d, dt=dt, solver=direct(), **(COARSE | options))
+    valve = built(d, **options)
     tips, reports = [], []
     for _ in range(steps):
         reports.append(valve.fsi.takeStep())
@@ -65,7 +75,7 @@ def test_leaflets_are_held_at_the_walls(which, request):
     found = request.getfixturevalue(which)
     fsi = found.valve.fsi
     X, y = fsi.spline_sh.node_positions, fsi.spline_sh.nodal(fsi.timeInt_sh.x)
-    at_wall = np.isclose(X[:, 1], 0.0) | np.isclose(X[:, 1], DATA.height)
+    at_wall = np.isclose(X[:, 1], 0.0) | np.isclose(X[:, 1], DEMO.HEIGHT)
     assert at_wall.any()
     assert not y[at_wall].any()
     assert not y[:, 2:].any()
@@ -130,7 +140,7 @@ def test_plane_and_one_layer_agree(plane, extruded):
     """To discretisation error at early times: the difference is that of the cells, and other data show more of it."""
     difference = np.abs(plane.tips - extruded.tips[..., :2]).max()
     assert 1e-6 < difference < 0.02
-    other = run(3, data=DEMO.Data(youngs_modulus=2 * DATA.youngs_modulus))
+    other = run(3, data={"material": DEMO.StVenantKirchhoff(2 * E, NU, H)})
     assert np.abs(plane.tips - other.tips[..., :2]).max() > 2 * difference
 
 
@@ -144,7 +154,7 @@ def test_the_width_of_a_layer_across_which_nothing_flows_is_no_spacing_of_points
 
 
 def test_one_layer_is_per_depth(extruded):
-    deep = run(3, data=DEMO.Data(depth=0.5))
+    deep = run(3, data={"depth": 0.5})
     assert np.abs(deep.tips - extruded.tips).max() < 0.02
     force = [found.reports[-1].monitors.force[0] / depth for found, depth in ((deep, 0.5), (extruded, 1.0))]
     assert force[0] == pytest.approx(force[1], rel=0.1)
@@ -163,7 +173,7 @@ def test_every_number_of_ranks_gives_the_same_tips(d, monkeypatch):
 
 
 def test_memory_is_flat():
-    valve, memory = DEMO.build(2, dt=0.01, solver=direct(), **COARSE), []
+    valve, memory = built(), []
     for _ in range(120):
         valve.fsi.takeStep()
         valve.tips()
@@ -172,19 +182,27 @@ def test_memory_is_flat():
 
 
 def test_energies_in_the_history(tmp_path):
-    DEMO.main(**DEMO.TOY, out=tmp_path, viz=True)
-    rows = list(csv.DictReader((tmp_path / "history.csv").read_text().splitlines()))
-    column = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
-    elastic, shell, fluid, inflow = (column[n] for n in ("elastic", "kinetic_shell", "kinetic_fluid", "inflow"))
+    DEMO.main(**DEMO.TOY, out=tmp_path, viz=False)
+    past = History.read(tmp_path / "history.csv")
+    elastic, shell, fluid, inflow = (past[n] for n in ("elastic", "kinetic_shell", "kinetic_fluid", "inflow"))
     assert (elastic > 0.0).all()
     assert (shell > 0.0).all()
     # a flow with this rate has at least the energy of the uniform one
-    assert (fluid[2:] > 0.99 * DATA.rho / 2 * inflow[2:] ** 2 / DATA.height * DATA.length).all()
+    assert (fluid[2:] > 0.99 * DEMO.RHO / 2 * inflow[2:] ** 2 / DEMO.HEIGHT * DEMO.LENGTH).all()
     # clamped strip with the tip displaced: the elastic energy of its first mode, within a factor
-    stiffness = DATA.youngs_modulus * DATA.thickness**3 / (12 * (1 - DATA.poisson_ratio**2))
-    bent = 1.5 * stiffness / DATA.leaflet_length**3 * (column["bottom_x"] ** 2 + column["top_x"] ** 2)
+    stiffness = E * H**3 / (12 * (1 - NU**2))
+    bent = 1.5 * stiffness / DEMO.SPAN**3 * (past["bottom_x"] ** 2 + past["top_x"] ** 2)
     assert (elastic[:5] > 0.9 * bent[:5]).all()
     assert (elastic < 10.0 * bent).all()
+
+
+def test_the_inflow_of_the_history_is_the_integral_of_the_velocity(tmp_path):
+    DEMO.main(**(DEMO.TOY | {"until": 0.05}), out=tmp_path, viz=False)
+    past, dt = History.read(tmp_path / "history.csv"), 1.5 * 3.0 / (32 * 6)
+    x = (np.arange(200) + 0.5) * DEMO.HEIGHT / 200
+    for t, rate in zip(past.t, past["inflow"], strict=True):
+        u = 5.0 * (np.sin(2 * np.pi * t) + 1.1) * min(t / (2 * dt), 1.0) * x * (DEMO.HEIGHT - x)
+        assert rate == pytest.approx(u.mean() * DEMO.HEIGHT, rel=1e-4)
 
 
 def test_a_run_that_goes_on_is_the_one_that_never_ended(tmp_path):
@@ -198,18 +216,6 @@ def test_a_run_that_goes_on_is_the_one_that_never_ended(tmp_path):
     assert resumed["monitors"]["leaked_share"] == pytest.approx(whole["monitors"]["leaked_share"], rel=1e-9)
     rows = [np.loadtxt(tmp_path / name / "history.csv", delimiter=",", skiprows=1) for name in ("whole", "ended")]
     assert rows[1] == pytest.approx(rows[0], rel=1e-8, abs=1e-10)
-
-
-def test_extrema_of_a_known_curve():
-    t = np.linspace(0.0, 3.0, 400)[1:]
-    x = 0.45 + 0.13 * np.cos(2 * np.pi * (t - 0.27))
-    found = DEMO.extrema(t, x)
-    assert set(found) == {f"{kind}_{n}" for kind in ("peak", "trough") for n in (1, 2, 3)}
-    for n in (1, 2, 3):
-        assert found[f"peak_{n}"] == pytest.approx((n - 0.73, 0.58), abs=1e-4)
-        assert found[f"trough_{n}"] == pytest.approx((n - 0.23, 0.32), abs=1e-4)
-    assert set(DEMO.extrema(t[t < 1.7], x[t < 1.7])) == {"peak_1", "trough_1", "peak_2"}
-    assert not DEMO.extrema(t, t)
 
 
 @pytest.mark.parametrize(
@@ -251,21 +257,32 @@ def test_reference_preset_is_the_published_algorithm(tmp_path):
 # -- whole runs --------------------------------------------------------------------------------------------------------
 
 
-def whole(elements, preset="default", d=2, **options):
-    """The columns of a run to T = 3 with the published time step, and its memory after 10 steps and at the end."""
-    options = {"mirrored": preset == "default", "options": DEMO.options_of(preset)} | options
-    valve = DEMO.build(d, elements, **options)
-    steps, memory = [], []
-    for _ in range(32 * elements):
-        steps.append(DEMO.in_numbers(valve.fsi.takeStep(), valve.tips()))
-        memory.append(rss_mib())
-    columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
-    return SimpleNamespace(columns=columns, growth=memory[-1] - memory[9], errors=DEMO.compare(columns)[0])
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What gives summary and history of a run to T = 3 with the published time step."""
+
+    def go(elements, **options):
+        out = tmp_path_factory.mktemp("valve_2d")
+        summary = DEMO.main(elements=elements, **options, viz=False, out=out)
+        assert summary["steps"] == 32 * elements
+        past = History.read(out / "history.csv")
+        return SimpleNamespace(**summary["monitors"], past=past, errors=summary["errors"], all=summary)
+
+    return go
 
 
 @pytest.fixture(scope="module")
-def default_runs():
+def default_runs(whole):
     return {elements: whole(elements) for elements in (16, 24, 32)}
+
+
+def trough(run):
+    return run.all["qoi"]["top_trough_2"]["value"]
+
+
+def growth(run):
+    """Of memory after ten steps, MiB."""
+    return run.all["rss_mib_end"] - run.all["rss_mib_step_10"]
 
 
 @pytest.mark.slow
@@ -280,49 +297,46 @@ def test_peaks_and_troughs_are_the_published_ones(elements, displacement, time, 
 @pytest.mark.slow
 def test_tips_converge_and_mirror_each_other(default_runs):
     t = np.linspace(0.0, 3.0, 601)[1:]
-    curves = [np.interp(t, run.columns["t"], run.columns["top_x"]) for run in default_runs.values()]
+    curves = [np.interp(t, run.past.t, run.past["top_x"]) for run in default_runs.values()]
     differences = [np.sqrt(np.mean((a - b) ** 2)) for a, b in itertools.pairwise(curves)]
     assert differences[1] < 0.7 * differences[0]
     for run in default_runs.values():
-        assert np.abs(run.columns["top_x"] - run.columns["bottom_x"]).max() < 1e-6
-        assert np.abs(run.columns["top_y"] + run.columns["bottom_y"]).max() < 1e-6
+        assert np.abs(run.past["top_x"] - run.past["bottom_x"]).max() < 1e-6
+        assert np.abs(run.past["top_y"] + run.past["bottom_y"]).max() < 1e-6
 
 
 @pytest.mark.slow
 def test_long_runs_are_flat_in_memory_and_passes(default_runs):
     for run in default_runs.values():
-        assert run.growth < 4.0
-        assert run.columns["passes"].max() <= 6
-        assert run.columns["passes"].mean() < 2.1
+        assert growth(run) < 4.0
+        assert run.past["passes"].max() <= 6
+        assert run.past["passes"].mean() < 2.1
 
 
 @pytest.mark.slow
-def test_a_smoothed_multiplier_has_no_patterns(default_runs):
+def test_a_smoothed_multiplier_has_no_patterns(default_runs, whole):
     """Its largest value falls to less than half, and the trough to where finer meshes see it."""
-    options = replace(CouplingOptions(), relaxation=0.5, relaxation_mode="smoothed")
-    plain, smooth = default_runs[16].columns, whole(16, options=options).columns
-    assert smooth["slip_ratio"].max() < 0.5 * plain["slip_ratio"].max()
-    finest = default_runs[32].columns
-    troughs = [DEMO.extrema(run["t"], run["top_x"])["trough_2"][1] for run in (plain, smooth, finest)]
-    assert troughs[1] < troughs[2] < troughs[0]
-    assert np.abs(smooth["leak"]).sum() < 1.1 * np.abs(plain["leak"]).sum()
+    plain, smooth = default_runs[16], whole(16, smoothing=0.5)
+    assert smooth.slip_ratio_max < 0.5 * plain.slip_ratio_max
+    assert trough(smooth) < trough(default_runs[32]) < trough(plain)
+    assert np.abs(smooth.past["leak"]).sum() < 1.1 * np.abs(plain.past["leak"]).sum()
 
 
 @pytest.mark.slow
-def test_reference_preset_follows_the_published_curve_later():
+def test_reference_preset_follows_the_published_curve_later(whole):
     """Its penalty lets the fluid slip through the leaflets, which delays the first peaks; displacements agree."""
-    run = whole(32, "reference")
+    run = whole(32, preset="reference")
     assert max(value for name, value in run.errors.items() if "time" not in name) < 0.02
     assert max(value for name, value in run.errors.items() if "time" in name) < 0.075
-    assert np.abs(run.columns["slip_ratio"]).max() > 1.0
+    assert run.slip_ratio_max > 1.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["reference", "default"])
-def test_one_layer_is_that_of_the_published_code(preset):
+def test_one_layer_is_that_of_the_published_code(preset, whole):
     """The published code's peak with these cells is 0.594; the plane run is near."""
-    extruded, plane = whole(16, preset, 3), whole(16, preset)
-    peak = DEMO.extrema(extruded.columns["t"], extruded.columns["top_x"])["peak_2"][1]
+    extruded, plane = whole(16, preset=preset, dim=3), whole(16, preset=preset)
+    peak = extruded.all["qoi"]["top_peak_2"]["value"]
     assert peak == pytest.approx(0.594, abs=0.003 if preset == "reference" else 0.02)
-    assert np.abs(extruded.columns["top_x"] - plane.columns["top_x"]).max() < 0.03
-    assert extruded.growth < 4.0
+    assert np.abs(extruded.past["top_x"] - plane.past["top_x"]).max() < 0.03
+    assert growth(extruded) < 4.0

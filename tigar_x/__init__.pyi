@@ -50,6 +50,7 @@ from tigar_x.run.results import Results as Results
 from tigar_x.run.results import with_results as with_results
 from tigar_x.run.summary import Quantity as Quantity
 from tigar_x.run.summary import against as against
+from tigar_x.run.summary import deviations as deviations
 from tigar_x.run.summary import table as table
 from tigar_x.run.summary import write_summary as write_summary
 from tigar_x.run.tally import Tally as Tally

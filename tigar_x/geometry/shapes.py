@@ -53,7 +53,14 @@ def one_per_direction(dim: int, **numbers: Sequence[int]) -> None:
             raise ValueError(f"{name} = {values}: one number for each of the {dim} directions is required")
 
 
-def line(start: ArrayLike, end: ArrayLike, *, elements: int, degree: int = 1) -> Patch:
+def line(
+    start: ArrayLike,
+    end: ArrayLike,
+    *,
+    elements: int,
+    degree: int = 1,
+    side_names: Mapping[str, tuple[int, int]] | None = None,
+) -> Patch:
     """Straight curve with constant speed.
 
     Args:
@@ -61,6 +68,7 @@ def line(start: ArrayLike, end: ArrayLike, *, elements: int, degree: int = 1) ->
         end: last point, same shape.
         elements: number of Bezier elements.
         degree: polynomial degree.
+        side_names: names of its ends, (0, 0) and (0, 1), see :class:`tigar_x.geometry.patch.Patch`.
 
     Returns:
         B-spline curve.
@@ -72,7 +80,7 @@ def line(start: ArrayLike, end: ArrayLike, *, elements: int, degree: int = 1) ->
     b = checks.array("end", end, a.shape)
     if np.array_equal(a, b):
         raise ValueError(f"end = {b}: a point other than start is required")
-    return _affine(a, [b - a], [elements], [degree])
+    return _affine(a, [b - a], [elements], [degree], side_names)
 
 
 def parallelogram(

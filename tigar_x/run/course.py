@@ -203,6 +203,30 @@ class Course:
         found = Course(self.t, -self.y).highest(low, high, accuracy=accuracy)
         return None if found is None else Extreme(found.t, -found.value)
 
+    def extremes(self, period: float, split: float = 0.5, *, accuracy: float = 0.0) -> dict[str, Extreme]:
+        """Peaks and troughs of what is driven with a period, from t = 0 on.
+
+        Args:
+            period: of the drive; unit: time.
+            split: share of each period in which the peak is; the trough is in the rest. In [0, 1].
+            accuracy: see :meth:`highest`.
+
+        Returns:
+            ``peak_1``, ``trough_1``, ``peak_2``, ...: largest and smallest value of the parts of each period, without
+            those that the samples do not reach, and those at an end of their part.
+
+        Raises:
+            ValueError: a number is out of range.
+        """
+        checks.positive("period", period)
+        checks.within("split", split, 0.0, 1.0)
+        found: dict[str, Extreme | None] = {}
+        for n in range(int(np.ceil(self.t[-1] / period)) if len(self) else 0):
+            start, middle, end = n * period, (n + split) * period, (n + 1) * period
+            found[f"peak_{n + 1}"] = self.highest(start, middle, accuracy=accuracy)
+            found[f"trough_{n + 1}"] = self.lowest(middle, end, accuracy=accuracy)
+        return {name: extreme for name, extreme in found.items() if extreme is not None}
+
     # -- passages -----------------------------------------------------------------------------------------------------
 
     def _steps_up(self, level: float) -> IntArray:

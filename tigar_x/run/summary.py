@@ -47,6 +47,11 @@ def against(found: Mapping[str, float], published: Mapping[str, float], doi: str
     return {name: Quantity(float(value), *known[name]) for name, value in found.items()}
 
 
+def deviations(found: Mapping[str, Quantity]) -> dict[str, float]:
+    """How far quantities are from what is published of them, by name; those of which nothing is are left out."""
+    return {name: abs(q.value - q.published) for name, q in found.items() if q.published is not None}
+
+
 def versions() -> dict[str, str]:
     """Versions of the libraries underneath, for reports."""
     return {
