@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 
 from shnapr.problems.leaflet import NORMALS, Closing, Leaflet
-from tigar_x import Colours, LumpedProjector, Results, VTUSeries, against, draw, lines, sampling, scene, script
+from tigar_x import Colours, Results, VTUSeries, against, draw, lines, sampling, scene, script
 from tigar_x.run.convergence import halved, observed_rates
 from tigar_x.run.results import with_results
 from tigar_x.splines.pictures import Surface, View, surfaces
+from tigar_x.splines.projection import Projected
 
 TOY = {"degree": 2, "elements": 5, "step": 0.25}
 MEASURED = ("energy", "centre_radius", "centre_z", "contact_force", "touching")
@@ -44,8 +45,7 @@ def main(results: Results, leaflet: Leaflet, levels: int = 1, step: float = 0.1)
     for n in halved(leaflet.elements, levels):
         closing, more = Closing(replace(leaflet, elements=n)), {}
         spline, y = closing.shell.spline, closing.shell.y
-        projector = LumpedProjector(spline, 1)
-        tension = partial(projector, projector.compile(closing.tension()))
+        tension = Projected(spline, closing.tension())
         if n == leaflet.elements:
             results.claim()
             fields = {"tension": tension, "distance": closing.nearest}
