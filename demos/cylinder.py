@@ -47,14 +47,14 @@ def main(results: Results, channel: Channel, until: float = 8.0) -> dict[str, An
         costs = Tally({}).once(flow.solve).results()
         summary = partial(results.summary, **costs, steps=1, dofs_fluid=flow.unknowns)
         found = dict(zip(("drag", "lift", "dp"), measure(), strict=True))
-        if results.viz:
-            files().once()
     else:
         columns = {"t_alpha": "t_alpha", ("drag", "lift", "dp"): "measured", "newton_iterations": "iterations"}
         run = results.run(flow, until=until, frames=40, series=[files], measure=measure, history=columns).through()
         summary, found, names = partial(results.of_run, run), periodic(run.history), {"drag": "drag", "lift": "lift"}
         panels.append(over_time(run.history, names, y=("coefficient", "-"), time="-", over="t_alpha"))
     if results.viz:
+        if channel.steady:
+            files().once()
         swirl = PlaneField(curl()).signed("vorticity", "-", share=0.15, length="-")
         flowing = PlaneField(flow.w).speed("-", length="-")
         draw(results.out / "cylinder.png", flowing, swirl, *panels, columns=1, size=(10.0, 2.6))
