@@ -73,13 +73,10 @@ def touching_shell() -> Any:
     from tigar_x.geometry import shapes
     from tigar_x.geometry.multipatch import disjoint
 
-    def on_the_upper(x: Any, t: Any) -> Any:
-        return [0.0, ufl.conditional(ufl.gt(x[1], 0.05), -t, 0.0)]
-
     strips = disjoint(*(shapes.line((0.0, height), (1.0, height), elements=16, degree=2) for height in (0.0, 0.1)))
-    contact = ContactRecipe(LinearKernel(0.08, 1e5), 0.09, spacing=None)
-    material, loads = StVenantKirchhoff(1e5, 0.3, 0.05), [DeadLoad(on_the_upper)]
-    shell = Shell(strips, material, clamped=["u0"], loads=loads, contact=contact)
+    contact = ContactRecipe(LinearKernel(0.08, 1e5), 0.09)
+    pressed = DeadLoad(lambda x, t: t * ufl.as_vector([0.0, -ufl.conditional(ufl.gt(x[1], 0.05), 1.0, 0.0)]))
+    shell = Shell(strips, StVenantKirchhoff(1e5, 0.3, 0.05), clamped=("u0",), loads=[pressed], contact=contact)
     shell.solve()
     return shell
 
@@ -89,50 +86,20 @@ def coupled() -> Any:
     import ufl
     from mpi4py import MPI
 
-    from coudalfish import CouDALFISh, FluidSubproblem, ShellSubproblem, SurfaceBand
-    from shnapr.loads import inertia
-    from shnapr.supports import clamped
-    from shnapr.svk import StVenantKirchhoff
-    from shnapr.work import internal_work
-    from tigar_x.fem.schemes import generalized_alpha
-    from tigar_x.fem.time_integration import TimeIntegrator
+    from coudalfish import CouDALFISh
+    from shnapr import Shell, StVenantKirchhoff
     from tigar_x.geometry import shapes
-    from tigar_x.splines.spline import ExtractedSpline
-    from varmint.conditions import WeakVelocity
-    from varmint.flow import Flow, FlowOptions
-    from varmint.mesh import box
+    from varmint import Flow, FlowOptions, WeakVelocity, box
 
-    def walls(x: Any, t: Any) -> Any:
+    def inflow(x: Any, t: Any) -> Any:
         return ufl.as_vector([6 * x[1] * (1 - x[1]) * ufl.min_value(t / 0.2, 1), 0])
 
-    rho, mu, dt, scheme = 1.0, 0.05, 0.01, generalized_alpha
     channel = box(MPI.COMM_WORLD, (0, 0), (3, 1), (24, 8))
-    flow = Flow(
-        channel,
-        [WeakVelocity(("left", "right", "bottom", "top"), walls)],
-        rho=rho,
-        mu=mu,
-        dt=dt,
-        scheme=scheme(0.5),
-        immersed=True,
-        options=FlowOptions(pressure="pin", pin_at=(3, 0)),
-    )
-    known = {
-        "bcs": flow.bcs,
-        "updates": flow.updates,
-        "band": SurfaceBand(channel.domain, flow.scales),
-        "density": rho,
-        "viscosity": mu,
-    }
-    fluid = FluidSubproblem(channel.domain, flow.residual, flow.time, **known)
-
+    walls, pinned = WeakVelocity(("left", "right", "bottom", "top"), inflow), FlowOptions(pressure="pin", pin_at=(3, 0))
+    flow = Flow(channel, [walls], rho=1.0, mu=0.05, dt=0.01, immersed=True, options=pinned)
     line = shapes.line((1, 0.005), (1, 0.6), elements=12, degree=2)
-    flap = ExtractedSpline(line, MPI.COMM_SELF, zero_dofs=clamped(line, "u0"))
-    motion = TimeIntegrator(flap.function(name="y"), dt, scheme(0.5, 2, first_order_alpha_m=True))
-    rubber, z = StVenantKirchhoff(1e4, 0.4, 0.03), ufl.TestFunction(flap.V)
-    residual = internal_work(flap, rubber, motion.x_alpha, z)
-    residual += inertia(flap, motion.xddot_alpha, z, density=1.0, thickness=0.03)
-    fsi = CouDALFISh(fluid, ShellSubproblem(flap, residual, motion))
+    flap = Shell(line, StVenantKirchhoff(1e4, 0.4, 0.03), density=1.0, clamped=("u0",))
+    fsi = CouDALFISh(flow, flap)
     fsi.takeStep()
     return fsi
 

@@ -17,7 +17,7 @@ UNUSED = {
     "steady_cavity": (*SPLINES, *OUTPUT),
     "static_shell": (*FLOWS, *OUTPUT, *CONTACT, "tigar_x.splines.saved", "tigar_x.geometry.files"),
     "touching_shell": (*FLOWS, *OUTPUT),
-    "coupled": (*OUTPUT, "shnapr.hyperelastic", "shnapr.mixed", "shnapr.planes", "tigar_x.geometry.surfaces"),
+    "coupled": (*OUTPUT, *CONTACT, "shnapr.hyperelastic", "shnapr.mixed", "shnapr.planes", "tigar_x.geometry.surfaces"),
     "beam_in_flow": SPLINES,
 }
 FIELDS = {"mesh_displacement": "a mesh that moves", "scale_m": "an immersed surface", "_old": "time"}
