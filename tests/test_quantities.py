@@ -18,6 +18,7 @@ from varmint.quantities import (
     BoundaryForce,
     Measured,
     NodalField,
+    NodeValues,
     PointValues,
     area,
     dissipation,
@@ -551,3 +552,17 @@ def test_nodal_fields_of_any_expression():
         np.testing.assert_allclose(found[inner], np.outer(at[inner, 0], np.arange(1, size + 1)), rtol=1e-12)
     constant = NodalField(flow, "one", fem.Constant(flow.mesh.domain, 2.0), flow.mesh.dx(degree=3))()
     np.testing.assert_allclose(own(constant, 1)[1], 2.0, rtol=1e-13)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+def test_values_at_the_nodes_nearest_to_points(degree):
+    """Of nodes that are equally near the one with the largest coordinates, on any ranks."""
+    flow = still(brick(n=4), degree=degree)
+    flow.start(lambda x, t: ufl.as_vector([x[0], x[1]]), lambda x, t: x[0] - 2 * x[1])
+    found = NodeValues(flow.w, [(0.26, 0.49), (1.0, 0.125 if degree == 1 else 0.0625)])()
+    expected = np.array([(0.25, 0.5), (1.0, 0.25 if degree == 1 else 0.125)])
+    np.testing.assert_allclose(found[:, :2], expected, atol=1e-13)
+    np.testing.assert_allclose(found[:, 2], expected @ [1.0, -2.0], atol=1e-13)
+    flow.w.x.array[:] = 0.0
+    assert not NodeValues(flow.w, [(0.5, 0.5)])().any()

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tigar_x.run.convergence import Level, Study, doubled, refine
+from tigar_x.run.convergence import Level, Study, doubled, halved, observed_rates, refine
 
 
 def level(n, **errors):
@@ -66,3 +66,25 @@ def test_bad_input_is_named():
         Study(powers(e=1.0).levels, {}, last=1)
     with pytest.raises(ValueError, match="against = 'unknown'"):
         powers(e=1.0).draw(None, unit="-", against="unknown")
+
+
+def test_meshes_that_end_with_a_given_one():
+    assert halved(12, 3) == (3, 6, 12)
+    assert halved(5, 1) == (5,)
+    for arguments, named in (((12, 4), "elements = 12"), ((6, 2, 2, 2), "a multiple of 4"), ((1, 1), "elements = 1")):
+        with pytest.raises(ValueError, match=named):
+            halved(*arguments[:2], **dict(zip(("least", "multiple"), arguments[2:], strict=False)))
+
+
+def test_rates_of_differences():
+    values = [{"a": 1.0 + 2.0 * n**-2.0, "b": n**-1.0} for n in (4, 8, 16)]
+    assert observed_rates(values) == pytest.approx({"a": 2.0, "b": 1.0}, abs=1e-10)
+    assert observed_rates(values[:2]) is None
+
+
+def test_a_report_is_no_solution():
+    """Then what was prepared is it."""
+    prepared = SimpleNamespace(unknowns=7)
+    study, found = refine(lambda problem: "a report", lambda s: {"e": 1.0}, (1, 2), {}, lambda n: prepared)
+    assert found is prepared
+    assert study.levels[0].unknowns == 7

@@ -4,6 +4,7 @@ import inspect
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import pytest
@@ -12,6 +13,8 @@ from tigar_x.run import script
 from tigar_x.run.convergence import Level, Study
 from tigar_x.run.figure import draw, lines
 from tigar_x.run.results import Results, with_results
+from tigar_x.run.summary import Quantity, against, quantity_table
+from tigar_x.run.tally import Tally
 
 
 @with_results
@@ -148,3 +151,18 @@ def test_panels_are_drawn_in_one_picture(tmp_path):
     assert seen == ["3d"]
     with pytest.raises(ZeroDivisionError):
         draw(tmp_path / "wrong.png", lambda axes: 1 / 0)
+
+
+def test_quantities_beside_what_is_published():
+    found = against({"drag": 5.5, "lift": 0.1}, {"drag": 5.58}, "10.1/x")
+    assert found == {"drag": Quantity(5.5, 5.58, "10.1/x"), "lift": Quantity(0.1)}
+    summary = {"qoi": {"drag": {"value": 5.5, "published": 5.58}, "lift": {"value": 0.1}}}
+    assert "published (doi:10.1/x)" in quantity_table(summary, "10.1/x").splitlines()[0]
+    assert quantity_table(summary).splitlines()[-1].split() == ["lift", "0.1", "-"]
+    assert "published" not in quantity_table({"qoi": {"drag": {"value": 5.5}}})
+
+
+def test_what_one_solve_takes_has_the_names_of_runs():
+    costs = Tally({}).once(lambda: SimpleNamespace(iterations=3, linear_iterations=12)).results()
+    assert (costs["newton_iterations_mean"], costs["linear_iterations_mean"]) == (3, 12)
+    assert costs["wall_s"] >= 0.0

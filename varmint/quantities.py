@@ -220,6 +220,8 @@ class PointValues:
 class NodeValues:
     """Values of a function at its nodes that are nearest to points, on the mesh at rest.
 
+    Of nodes that are equally near the one with the largest coordinates counts, whatever the ranks.
+
     Args:
         function: in a scalar or blocked Lagrange space.
         points: shape (n, d).
@@ -230,10 +232,10 @@ class NodeValues:
         self._function, self._comm = function, V.mesh.comm
         wanted = checks.array("points", points, (None, V.mesh.geometry.dim))
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, : wanted.shape[1]]
-        away = np.linalg.norm(x[None] - wanted[:, None], axis=2)
-        nearest = np.array(self._comm.allgather(away.min(axis=1, initial=np.inf)))
-        self._mine = nearest.argmin(axis=0) == self._comm.rank
-        self._nodes = away[self._mine].argmin(axis=1) if self._mine.any() else np.zeros(0, dtype=int)
+        every = self._comm.allgather(np.array([_nearest(x, point) for point in wanted]))
+        owners = [min(range(len(every)), key=lambda rank: tuple(every[rank][i][1:])) for i in range(len(wanted))]
+        self._mine = np.array(owners, dtype=int) == self._comm.rank
+        self._nodes = every[self._comm.rank][self._mine, 0].astype(int)
 
     def __call__(self) -> FloatArray:
         """Values (collective), shape (n, components)."""
@@ -241,6 +243,17 @@ class NodeValues:
         values = np.zeros((len(self._mine), size))
         values[self._mine] = self._function.x.array.reshape(-1, size)[self._nodes]
         return np.asarray(self._comm.allreduce(values, op=MPI.SUM))
+
+
+def _nearest(x: FloatArray, point: FloatArray) -> FloatArray:
+    """Number of the node nearest to a point, its distance and its coordinates with opposite signs; infinite if none."""
+    away = np.linalg.norm(x - point, axis=1)
+    least = away.min(initial=np.inf)
+    near = np.flatnonzero(away <= least * (1.0 + 1e-9) + 1e-12)
+    if not len(near):
+        return np.full(2 + len(point), np.inf)
+    node = max(near, key=lambda i: tuple(np.round(x[i], 9)))
+    return np.array([node, round(float(least), 9), *-np.round(x[node], 9)])
 
 
 class NodalField:
