@@ -74,6 +74,7 @@ _NAMES = {
     ("varmint.mesh_files", "varmint.mesh.files"): "read=read_mesh",
     ("varmint.solids", "varmint.forms.solids"): "Material=SolidMaterial NeoHookean=NeoHookeanSolid"
     " StVenantKirchhoff=StVenantKirchhoffSolid",
+    ("varmint.start", "tigar_x.fem.projection"): "project",
     ("shnapr.stress", "shnapr.stress"): "Solid=MaterialAtPoint",
     ("coudalfish.mesh_motion", "coudalfish.sides.mesh_motion"): "MeshMotion=MovingMesh",
     ("coudalfish.monitors", "coudalfish.surface.monitors"): "measure=monitors_of",
@@ -89,7 +90,7 @@ NAMES = {
 }
 """Names of today by their old paths, where they are called otherwise, or not in the module of the rest of theirs."""
 
-WITHDRAWN = {"varmint.start": "project varies"}
+WITHDRAWN = {"varmint.start": "varies"}
 """Names that no module offers now, by their old modules."""
 
 
