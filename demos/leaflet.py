@@ -41,17 +41,17 @@ def main(results: Results, leaflet: Leaflet, levels: int = 1, step: float = 0.1)
         levels: number of meshes, each of half as many elements as the next, to observe convergence.
         step: load step, by the whole load.
     """
-    paths = []
-    for n in halved(leaflet.elements, levels):
+    paths = dict.fromkeys(halved(leaflet.elements, levels))
+    results.claim()
+    for n in paths:
         closing, more = Closing(replace(leaflet, elements=n)), {}
         spline, y = closing.shell.spline, closing.shell.y
         tension = Projected(spline, closing.tension())
         if n == leaflet.elements:
-            results.claim()
             fields = {"tension": tension, "distance": closing.nearest}
             more = {"results": results, "series": [partial(VTUSeries, results.out / "leaflet", spline, y=y, **fields)]}
-        paths.append(closing.close(step=step, **more))
-    path, forces = paths[-1], closing.forces()
+        path = paths[n] = closing.close(step=step, **more)
+    forces = closing.forces()
     if results.viz:
         picture(results, closing, paths, tension())
     deepest = -min(path.final("distance_1"), path.final("distance_2"))
@@ -59,8 +59,8 @@ def main(results: Results, leaflet: Leaflet, levels: int = 1, step: float = 0.1)
         path,
         errors={"force_balance": forces.imbalance, "pressure_resultant": forces.boundary_error},
         qoi=against({name: path.final(name) for name in MEASURED}, {}),
-        levels=[{name: p.final(name) for name in p.history.names} for p in paths],
-        rates=observed_rates([{name: p.final(name) for name in MEASURED[:3]} for p in paths]),
+        levels=[{name: p.final(name) for name in p.history.names} for p in paths.values()],
+        rates=observed_rates([{name: p.final(name) for name in MEASURED[:3]} for p in paths.values()]),
         monitors={
             "asymmetry": closing.asymmetry(),
             "deepest": deepest,
@@ -73,7 +73,7 @@ def main(results: Results, leaflet: Leaflet, levels: int = 1, step: float = 0.1)
     )
 
 
-def picture(results: Results, closing: Closing, paths: list[Any], tension: Any) -> None:
+def picture(results: Results, closing: Closing, paths: dict[int, Any], tension: Any) -> None:
     """The closed leaflet with its tension and the planes, and how its free edge came there."""
     net, edge = sampling.net(closing.shell.spline, 81, patch=0), sampling.side(closing.shell.spline, "v0", 401, patch=0)
     outwards = [np.array([m[1], -m[0], 0.0]) * -np.sign(m[1]) for m in NORMALS]
@@ -87,10 +87,9 @@ def picture(results: Results, closing: Closing, paths: list[Any], tension: Any) 
     )
     seen = {name: x[:, :2].T for name, x in (("open", edge.reference), ("closed", edge.positions(closing.shell.y)))}
     seen |= {f"_{i}": np.outer(e[:2], [0.0, 1.2]) for i, e in enumerate(outwards)}
-    axial = lines(
-        seen, x=("$x_1$", "cm"), y=("$x_2$", "cm"), aspect="equal", title="free edge and planes, along the axis"
-    )
-    way = {f"step {i}": (p.history["pressure"][1:], p.history["centre_radius"][1:]) for i, p in enumerate(paths)}
+    styles = {f"_{i}": {"fmt": "k--"} for i in range(len(outwards))}
+    axial = lines(seen, x=("$x_1$", "cm"), y=("$x_2$", "cm"), aspect="equal", title="along the axis", styles=styles)
+    way = {f"{n} elements": (p.history["pressure"][1:], p.history["centre_radius"][1:]) for n, p in paths.items()}
     radius = lines(way, x=("pressure", "dyn/cm$^2$"), y=("middle of the free edge to axis", "cm"), yscale="log")
     draw(results.out / "leaflet.png", space, axial, radius, columns=3)
 
