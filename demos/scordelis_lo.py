@@ -23,7 +23,7 @@ from tigar_x import Colours, Results, VTUSeries, against, draw, lines, sampling,
 from tigar_x.run.progress import peak_rss_mib
 from tigar_x.splines.pictures import Surface, scene
 
-TOY = {"degree": 3, "elements": 4}
+TOY = {"elements": 4}
 
 
 @with_results
