@@ -87,8 +87,10 @@ class CouDALFISh:
         self.locator = PointLocator(self.mesh_f)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(self.fluid, self.shell)
+        self.timeInt_sh.partner = self.timeInt_f
         for integrator in self.integrators:
-            integrator.coupled = True
+            if integrator is not self.timeInt_sh:
+                integrator.partner = self.timeInt_sh
 
     def __repr__(self) -> str:
         time = self.timeInt_f

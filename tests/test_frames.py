@@ -51,3 +51,9 @@ def test_a_run_that_goes_on_keeps_what_was_drawn_before(shared_path):
 def test_other_endings_are_refused(shared_path):
     with pytest.raises(ValueError, match=r"^path = .*leaf.mp4': a name that ends in '.gif' is required"):
         Frames(shared_path / "leaf.mp4", lambda path, t: None)
+
+
+def test_series_whose_names_begin_alike_do_not_touch_each_other(shared_path):
+    pictures_of(shared_path / "leaf_top.gif", [0.1, 0.2])
+    assert pictures_of(shared_path / "leaf.gif", [0.3]) == ["leaf_0.300000000.png"]
+    assert len(list((shared_path / "frames").iterdir())) == 3

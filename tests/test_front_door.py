@@ -172,3 +172,17 @@ def test_a_side_of_a_coupled_run_does_not_step_alone():
     for side, name in ((flow, "flow"), (shell, "shell")):
         with pytest.raises(ValueError, match=f"^the {name} is coupled with a"):
             side.take_step()
+
+
+def test_two_couplers_do_not_share_a_side():
+    """Each would move its clock."""
+    flow, shell = a_flow(), a_shell()
+    with pytest.raises(ValueError, match=r"^multiplier has shape \(3,\)"):
+        CouDALFISh(flow, shell, multiplier=np.zeros(3))
+    first = CouDALFISh(flow, shell)  # nothing was coupled before
+    with pytest.raises(ValueError, match=r"^fluid is coupled with another shell: .* are patches of one geometry"):
+        CouDALFISh(flow, a_shell())
+    with pytest.raises(ValueError, match=r"^shell is coupled with another flow: make it anew"):
+        CouDALFISh(a_flow(), shell)
+    again = CouDALFISh(flow, shell, CouplingOptions(penalty=10.0))  # the same two with other options
+    assert again.integrators == first.integrators

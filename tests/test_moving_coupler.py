@@ -202,7 +202,7 @@ def test_a_coupled_step_measures_what_the_step_of_its_flow_measures():
     alone = scene(walls=stream).flow
     with pytest.raises(ValueError, match="the flow is coupled with a shell: take the steps of what couples them"):
         alone.take_step()
-    alone.time.coupled = False
+    alone.time.partner = None
     fsi = scene(walls=stream, ends=((3.0, 0.0), (3.0, 1.0)))
     expected, force = BoundaryForce(alone, *SIDES), BoundaryForce(fsi.flow, *SIDES)
     for step in (fsi.takeStep, lambda measure: advance(fsi, DT, measure=measure)[0]):

@@ -426,6 +426,23 @@ def test_a_folder_with_results_is_refused_before_any_step(folder):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
+        ({"until": 0.0}, "until = 0.0: a time later"),
+        ({"steps": 3, "history": {"x": 3}}, "a function or the name"),
+        ({"steps": 3, "checkpoint_every": 1, "inputs": {"x": float("inf")}}, "finite JSON is required"),
+        ({"steps": 3, "series": [3]}, "series: 3 can neither write nor be called"),
+    ],
+)
+def test_what_is_refused_deletes_nothing(options, reason, tmp_path):
+    list(run_of(Logistic(), tmp_path, steps=3))
+    before = (tmp_path / "history.csv").read_bytes()
+    with pytest.raises(ValueError, match=reason):
+        run_of(Logistic(), tmp_path, overwrite=True, **options)
+    assert (tmp_path / "history.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
         ({}, "until = None, steps = None: one of them is required"),
         ({"until": 1.0, "steps": 3}, "until = 1.0, steps = 3: one of them is required"),
         ({"until": 0.0}, "until = 0.0: a time later than t = 0, where the run begins, is required"),
@@ -531,6 +548,20 @@ def test_a_step_of_a_flow_on_a_moving_mesh_is_cut():
     assert attempts == pytest.approx([0.1, 0.05, 0.05])
     assert made.time.time == made.moving.time.time == pytest.approx(0.1)
     assert made.time.step_size == made.moving.time.step_size == 0.1
+
+
+def test_an_interrupt_in_a_step_of_a_flow_leaves_the_state_before_it():
+    made = flow(moves=True)
+    before = made.w.x.array.copy()
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        made.take_step(interrupt)
+    assert not made.time.in_step
+    assert not made.moving.time.in_step
+    np.testing.assert_array_equal(made.w.x.array, before)
 
 
 def test_a_run_of_a_shell_is_its_steps():

@@ -15,6 +15,7 @@ from shnapr.supports import clamped
 from shnapr.svk import StVenantKirchhoff
 from shnapr.work import internal_tangent, internal_work
 from tigar_x import compat
+from tigar_x.fem.linear import LinearSolver, SolveError
 from tigar_x.fem.newton import newton
 from tigar_x.fem.schemes import backward_euler, companion, generalized_alpha
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -260,6 +261,31 @@ def test_a_failed_step_leaves_the_state_before_it():
     shell.take_step()
     other.take_step()
     np.testing.assert_allclose(shell.y.x.array, other.y.x.array, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.mpi
+def test_an_interrupt_in_a_step_leaves_the_state_before_it():
+    def interrupt():
+        raise KeyboardInterrupt
+
+    shell = cantilever(DeadLoad((0.0, 50.0)), dt=0.1)
+    with pytest.raises(KeyboardInterrupt):
+        shell.take_step(measure=interrupt)
+    assert (shell.time.in_step, shell.time.time) == (False, 0.0)
+    np.testing.assert_array_equal(shell.y.x.array, 0.0)
+
+
+@pytest.mark.mpi
+def test_a_linear_solve_that_fails_leaves_the_state_before_it():
+    stuck = LinearSolver("stuck", {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1, "ksp_rtol": 1e-14})
+    shell, seen = cantilever(DeadLoad((0.0, 5.0)), solver=stuck), []
+    shell.updates = (seen.append,)
+    shell.start(np.tile([0.0, 0.1], (beam().n, 1)))
+    before = shell.y.x.array.copy()
+    with pytest.raises(SolveError, match="stuck failed"):
+        shell.solve_linear()
+    assert (shell.load_factor, seen) == (0.0, [1.0, 0.0])
+    np.testing.assert_array_equal(shell.y.x.array, before)
 
 
 @pytest.mark.mpi

@@ -109,6 +109,7 @@ def both_sides(
         raise ValueError(
             "the shell's spline is distributed: comm=MPI.COMM_SELF is required, every rank holds the whole"
         )
+    _check_partners(flow, shell, time)
     if not isinstance(shell, ShellSubproblem):
         shell.bind(time.step_size, time.scheme, time.time)
     return fluid_side(flow), shell_side(shell)
@@ -187,6 +188,18 @@ def shell_side(shell: ShellSubproblem | ImmersedShell) -> ShellSubproblem:
         updates=shell.updates,
         contact=shell.contact,
     )
+
+
+def _check_partners(flow: Any, shell: Any, time: TimeIntegrator) -> None:
+    """Refuse flows and shells that are coupled with others: two couplers would move one clock."""
+    own = shell.timeInt if isinstance(shell, ShellSubproblem) else shell.time
+    if not isinstance(flow, FluidSubproblem) and time.partner not in (None, own):
+        raise ValueError(
+            "fluid is coupled with another shell: make it anew; several shells in one flow are patches of one geometry,"
+            " as tigar_x.geometry.multipatch.disjoint(*patches)"
+        )
+    if not isinstance(shell, ShellSubproblem) and own is not None and own.partner not in (None, time):
+        raise ValueError("shell is coupled with another flow: make it anew")
 
 
 def _check_kind(name: str, given: Any, names: Sequence[str], others: Sequence[str], wanted: str) -> None:

@@ -43,7 +43,7 @@ def shell_step(
             update(t_alpha)
         done = agreed(copies, lambda: newton(system, **chosen), time.x.x.array)
         measured = None if measure is None else measure()
-    except Exception as error:
+    except BaseException as error:
         time.restore()
         if not isinstance(error, SolveError):
             raise

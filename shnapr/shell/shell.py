@@ -115,7 +115,7 @@ class Shell(Scene):
 
         Raises:
             ValueError: the shell has a clock.
-            SolveError: the linear solver failed.
+            SolveError: the linear solver failed; the state is that before.
         """
         self._statics("solve_linear").solve_linear()
 
@@ -143,7 +143,7 @@ class Shell(Scene):
         """
         if self.time is None:
             raise ValueError("dt = None: a shell without a clock takes no steps; solve() finds its equilibrium")
-        if self.time.coupled:
+        if self.time.partner is not None:
             raise ValueError("the shell is coupled with a flow: take the steps of what couples them")
         return shell_step(self.system, self.time, self.options, self.updates, self.copies, measure)
 
@@ -203,7 +203,7 @@ class Shell(Scene):
             raise ValueError("contact = None: a shell with contact is required")
         quads, X = compat.subcells(self.spline.V)[1], self.spline.node_positions
         number = piercings(self.positions, quads, X, self.contact.r_self)
-        if number:
+        if number and self.copies.rank == 0:
             log.warning("the shell goes through itself in %d places: reduce dt or refine it", number)
         return number
 

@@ -8,7 +8,6 @@ from mpi4py import MPI
 
 from shnapr.shell.options import ShellOptions, newton_options
 from tigar_x import checks
-from tigar_x.fem.linear import SolveError
 from tigar_x.fem.load_stepping import LoadReport, StepControl, follow_load
 from tigar_x.fem.newton import newton
 from tigar_x.fem.time_integration import LoadStepper
@@ -93,15 +92,23 @@ class Statics:
         Raises:
             SolveError: the linear solver failed.
         """
-        system = self._system
-        self._factor.resume(1.0)
+        state = self._y.copy()
         self._load(1.0)
         self._y[:] = 0.0
-        system.assemble_residual()
-        system.assemble_tangent()
-        system.subtract(system.solve())
+        try:
+            agreed(self._copies, self._increment, self._y)
+        except BaseException:
+            self._y[:] = state
+            self._load(self._factor.time)
+            raise
+        self._factor.resume(1.0)
         if self._after is not None:
             self._after()
+
+    def _increment(self) -> None:
+        self._system.assemble_residual()
+        self._system.assemble_tangent()
+        self._system.subtract(self._system.solve())
 
     def _load(self, factor: float) -> None:
         self._factor.t.value = factor
@@ -113,9 +120,11 @@ class Statics:
         state = self._y.copy()
         self._y[:] = 0.0
         self._load(1.0)
-        norm = self._system.assemble_residual()
-        self._y[:] = state
-        self._load(self._factor.time)
+        try:
+            norm = self._system.assemble_residual()
+        finally:
+            self._y[:] = state
+            self._load(self._factor.time)
         return norm if math.isfinite(norm) and norm > 0.0 else None
 
     def _again(self, until: float, found: Callable[[float], None], chosen: dict[str, Any]) -> LoadReport:
@@ -124,7 +133,7 @@ class Statics:
         self._load(until)
         try:
             done = agreed(self._copies, lambda: newton(self._system, **chosen), self._y)
-        except SolveError:
+        except BaseException:
             self._y[:] = state
             self._load(self._factor.time)
             raise

@@ -48,7 +48,7 @@ class TimeIntegrator:
         dt: Constant, step size.
         in_step: whether a step has been predicted and not been accepted or given up; what belongs to the level of the
             equations has a meaning only then.
-        coupled: whether a coupler steps it, so that its own side must not.
+        partner: integrator of the other side of a coupling, whose coupler steps both; None: it has none.
         algebraic: as given.
 
     Raises:
@@ -81,7 +81,8 @@ class TimeIntegrator:
         for component in algebraic:
             checks.choice("algebraic", component, tuple(range(x.ufl_shape[0])) if x.ufl_shape else ())
         self.algebraic = frozenset(algebraic)
-        self.in_step = self.coupled = False
+        self.in_step = False
+        self.partner: TimeIntegrator | None = None
 
         names = ("alpha_f", "alpha_m", "a0", "a1", "a2", "b0", "b1")
         self._c = {name: compat.Constant(V.mesh, float(getattr(scheme, name))) for name in names}

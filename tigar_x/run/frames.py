@@ -1,5 +1,6 @@
 """Numbered pictures of a run as a series, which become an animation at its end."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,14 +43,16 @@ class Frames(Series):
     def _begin(self, after: float | None) -> None:
         check_writable(self._path)
         for frame in self.frames:
-            if after is None or is_later(float(frame.stem.rpartition("_")[2]), after):
+            if after is None or is_later(_time(frame), after):
                 frame.unlink(missing_ok=True)
 
     @property
     def frames(self) -> list[Path]:
         """The pictures there are, by their times."""
-        found = (self._path.parent / FOLDER).glob(f"{self._path.stem}_*.png")
-        return sorted(found, key=lambda frame: float(frame.stem.rpartition("_")[2]))
+        every = (self._path.parent / FOLDER).glob("*.png")
+        # a longer name that begins like this one is that of another series
+        name = re.compile(re.escape(self._path.stem) + r"_-?[0-9]+\.[0-9]{9}")
+        return sorted((frame for frame in every if name.fullmatch(frame.stem)), key=_time)
 
     def write(self, t: float) -> None:
         """Draw the present state at time ``t``."""
@@ -58,3 +61,7 @@ class Frames(Series):
     def close(self) -> None:
         """Make the animation and the sheet."""
         animate(self._path, self.frames, seconds=self._seconds, sheet=self._path.with_suffix(".png"))
+
+
+def _time(frame: Path) -> float:
+    return float(frame.stem.rpartition("_")[2])

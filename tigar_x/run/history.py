@@ -96,7 +96,9 @@ class History:
 
     def vector(self, name: str) -> FloatArray:
         """The columns ``name_1``, ``name_2``, ... of a vector, shape (times, components)."""
-        names = [column for column in self.names if column.rpartition("_")[0] == name and column[-1].isdigit()]
+        names = [
+            column for column in self.names if column.rpartition("_")[0] == name and column.rpartition("_")[2].isdigit()
+        ]
         return np.stack([self[column] for column in names], axis=1) if names else self[name][:, None]
 
     def course(self, name: str, t: str = "t") -> Course:

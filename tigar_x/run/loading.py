@@ -64,7 +64,7 @@ def follow(
     each: Callable[[float], Any] | None = None,
     **options: Any,
 ) -> LoadPath:
-    """Raise the load, and measure after every load step.
+    """Raise the load from nothing, and measure after every load step.
 
     Args:
         solve: raises the load, such as :meth:`shnapr.shell.Shell.solve`: takes ``until``, ``each`` and the options.

@@ -119,21 +119,22 @@ class Run:
                 raise ValueError(f"series: {item!r} can neither write nor be called with after=")
         self._stepper, self._series, self._measure, self._show = stepper, tuple(series), measure, show
         self.inputs = dict(inputs or {})
+        self.step, self.after, self._size = 0, None, stepper.step_size
+        # what is refused has to be so before results of an earlier run are deleted
+        self.steps = 0 if goes_on else self._number_of_steps()
+        if history is not None:
+            Recorder(history)
+        self._restart = self._checkpoints() if goes_on or checkpoint_every else None
         if self.out is not None:
             claim(self.out, overwrite=overwrite, restart=str(restart) if goes_on else "")
-        self._restart: Restart | None = None
-        self.step, self.after = 0, None
-        if goes_on or checkpoint_every:
-            self._restart = self._checkpoints()
         if goes_on and self._restart is not None:
             self._restart.read(restart)  # type: ignore[arg-type]  # it is not None
-            self.step, self.after = self._restart.step, self._restart.after
+            self.step, self.after, self._size = self._restart.step, self._restart.after, stepper.step_size
+            self.steps = self._number_of_steps()
         self.extra: dict[str, Any] = {} if self._restart is None else dict(self._restart.extra)
         self.tally = Tally(self.extra.pop("tally", {}))
         self.reports: Sequence[Any] = ()
         self.writes = False
-        self._size = stepper.step_size
-        self.steps = self._number_of_steps()
         if self._frames is not None:
             self._every = max(1, self.steps // self._frames) if self._frames else None
         path = None if self.out is None else self.out / "history.csv"

@@ -260,7 +260,7 @@ class Flow:
         time = self.time
         if time is None:
             raise ValueError("dt = None: a steady flow has no steps")
-        if time.coupled:
+        if time.partner is not None:
             raise ValueError("the flow is coupled with a shell: take the steps of what couples them")
         check_clock(time, self.moving)
         return flow_step(

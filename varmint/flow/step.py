@@ -52,7 +52,7 @@ def flow_step(
         if moving is not None and has_solid:
             moving.check()
         measured = None if measure is None else measure()
-    except Exception as error:
+    except BaseException as error:
         bring_back()
         for clock in clocks:
             clock.restore()
