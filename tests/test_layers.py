@@ -71,6 +71,8 @@ MODULE_LINES, FUNCTION_LINES = 350, 60
 """How long a module may be, and a function without its signature and docstring."""
 LONGER: dict[str, str] = {}
 """What may be longer, "path" or "path:function", and why."""
+DEMO_LINES, SHARED = {"heart_valve": 150, "valve_2d": 150, "others": 100}, 0.15
+"""How long a demo may be, and which part of its code may stand in another one."""
 HEAVY = ("gmsh", "meshio", "matplotlib", "pyvista", "splipy", "h5py", "slepc4py")
 
 
@@ -80,6 +82,7 @@ def name_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+DEMOS = sorted((ROOT / "demos").glob("*.py"))
 MODULES = sorted(path for package in BELOW for path in (ROOT / package).glob("**/*.py"))
 NAMES = {name_of(path) for path in MODULES}
 each_module = pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -305,11 +308,35 @@ def test_only_compat_branches_on_a_version(path):
 
 
 def test_demos_do_not_import_each_other():
-    demos = sorted((ROOT / "demos").glob("*.py"))
-    assert demos
-    names = {path.stem for path in demos}
-    for path in demos:
+    assert DEMOS
+    names = {path.stem for path in DEMOS}
+    for path in DEMOS:
         assert not names & {name.split(".")[0] for name in imports(ast.parse(path.read_text()))}
+
+
+def code_of(path: Path) -> list[str]:
+    """Lines of a script without blank ones, comments and imports."""
+    text = path.read_text()
+    nodes = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import | ast.ImportFrom))
+    imported = {number for node in nodes for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
+    lines = [line.strip() for i, line in enumerate(text.splitlines(), 1) if i not in imported]
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def shared(one: list[str], other: list[str]) -> float:
+    """Part of the lines of one script that stand in another as well, but for lone punctuation."""
+    return sum(line in other and len(line) > 3 for line in one) / len(one)
+
+
+@pytest.mark.parametrize("path", DEMOS, ids=lambda path: path.stem)
+def test_demos_are_short_and_show_each_its_own_problem(path):
+    assert len(path.read_text().splitlines()) <= DEMO_LINES.get(path.stem, DEMO_LINES["others"])
+    others = {other.stem: shared(code_of(path), code_of(other)) for other in DEMOS if other != path}
+    assert max(others.values()) <= SHARED, others
+
+
+def test_scripts_that_share_lines_are_found():
+    assert shared(["a = 1", "b = 2", ")", "c = 3"], ["b = 2", ")"]) == 0.25
 
 
 def unlisted(text: str) -> list[str]:
@@ -320,8 +347,8 @@ def unlisted(text: str) -> list[str]:
         if len(cells) == 4 and cells[2].strip() == "holds":
             package = cells[1].strip(" `")
         elif len(cells) == 4:
-            rooms = [f"{package}.{name}" for name in re.findall(r"`(\w+)`", cells[1])]
-            named.update(rooms, (f"{room}.{word}" for room in rooms for word in re.findall(r"\w+", cells[2])))
+            packages = [f"{package}.{name}" for name in re.findall(r"`(\w+)`", cells[1])]
+            named.update(packages, (f"{inner}.{word}" for inner in packages for word in re.findall(r"\w+", cells[2])))
     own = {name for name in NAMES if name.count(".") == 2 and name.split(".")[1] == name.split(".")[2]}  # flow.flow
     return sorted(NAMES - named - own - set(BELOW))
 

@@ -11,7 +11,7 @@ from importlib.abc import MetaPathFinder
 from types import ModuleType
 from typing import NoReturn
 
-_ROOMS = {
+_FOLDERS = {
     "tigar_x.fem": "eigen kept line_search linear load_stepping low_rank newton recipes rounding solve"
     " time_integration",
     "tigar_x.run": "checkpoint nodal output restart script vertex_values vtkhdf writing",
@@ -25,7 +25,9 @@ _ROOMS = {
     "coudalfish.step": "acceleration acceptance floors levels options report watch",
 }
 
-MODULES = {f"{room.split('.')[0]}.{name}": f"{room}.{name}" for room, names in _ROOMS.items() for name in names.split()}
+MODULES = {
+    f"{folder.split('.')[0]}.{name}": f"{folder}.{name}" for folder, names in _FOLDERS.items() for name in names.split()
+}
 """Modules of today by their old paths."""
 MODULES |= {
     "tigar_x.gluing": "tigar_x.geometry.joints",
