@@ -170,8 +170,9 @@ def test_a_side_of_a_coupled_run_does_not_step_alone():
     flow, shell = a_flow(), a_shell()
     CouDALFISh(flow, shell, CouplingOptions(penalty=10.0))
     for side, name in ((flow, "flow"), (shell, "shell")):
-        with pytest.raises(ValueError, match=f"^the {name} is coupled with a"):
-            side.take_step()
+        for step in (side.take_step, lambda side=side: side.run(steps=1)):
+            with pytest.raises(ValueError, match=f"^the {name} is coupled with a"):
+                step()
 
 
 def test_two_couplers_do_not_share_a_side():

@@ -141,11 +141,16 @@ class Shell(Scene):
             ValueError: the shell has no clock, or is coupled.
             ShellError: the step failed; the state is that before it.
         """
+        time = self._own_clock()
+        return shell_step(self.system, time, self.options, self.updates, self.copies, measure)
+
+    def _own_clock(self) -> TimeIntegrator:
+        """The integrator, if the shell may step."""
         if self.time is None:
             raise ValueError("dt = None: a shell without a clock takes no steps; solve() finds its equilibrium")
         if self.time.partner is not None:
             raise ValueError("the shell is coupled with a flow: take the steps of what couples them")
-        return shell_step(self.system, self.time, self.options, self.updates, self.copies, measure)
+        return self.time
 
     def run(self, *, halvings: int = 6, **options: Any) -> "Run":
         """A run of many steps, as an iterator of their reports.
@@ -155,17 +160,14 @@ class Shell(Scene):
             options: see :class:`tigar_x.run.running.Run`.
 
         Raises:
-            ValueError: the shell has no clock, or an option is not allowed.
+            ValueError: the shell has no clock or is coupled, or an option is not allowed.
         """
         from tigar_x.run.running import Run  # single steps need nothing of it
         from tigar_x.run.stepping import IntegratorStepper
 
-        if self.time is None:
-            raise ValueError("dt = None: a shell without a clock takes no steps; solve() finds its equilibrium")
+        time = self._own_clock()
         sizes = {"dofs_shell": self.spline.geometry.n * self.spline.nsd}
-        return Run(
-            IntegratorStepper(self.take_step, ShellError, halvings=halvings, sizes=sizes, shell=self.time), **options
-        )
+        return Run(IntegratorStepper(self.take_step, ShellError, halvings=halvings, sizes=sizes, shell=time), **options)
 
     # -- what follows from a state ------------------------------------------------------------------------------------
 

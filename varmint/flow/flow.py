@@ -31,7 +31,7 @@ from varmint.flow.options import (
 )
 from varmint.flow.pressure import by_null_space, pressure_pin
 from varmint.flow.start import consistent_start, set_state
-from varmint.flow.state import FlowNeeds, FlowState
+from varmint.flow.state import FlowNeeds, FlowState, FlowTime
 from varmint.flow.steady import solve_steady
 from varmint.flow.step import flow_step
 from varmint.flow.terms import Interior, Term, boundary_terms, strong_values, surface_scales
@@ -257,16 +257,20 @@ class Flow:
         Raises:
             FlowError: the step failed; the state is that before it.
         """
-        time = self.time
-        if time is None:
-            raise ValueError("dt = None: a steady flow has no steps")
-        if time.partner is not None:
-            raise ValueError("the flow is coupled with a shell: take the steps of what couples them")
+        time = self._own_clock()
         check_clock(time, self.moving)
         return flow_step(
             self._state, time, self.system, lambda: self._newton(keep=self.options.keep), self.updates, measure,
             has_solid=self._solid is not None,
         )  # fmt: skip
+
+    def _own_clock(self) -> FlowTime:
+        """The integrator, if the flow may step."""
+        if self.time is None:
+            raise ValueError("dt = None: a steady flow has no steps")
+        if self.time.partner is not None:
+            raise ValueError("the flow is coupled with a shell: take the steps of what couples them")
+        return self.time
 
     def run(self, *, halvings: int = 6, **options: Any) -> "Run":
         """A run of many steps, as an iterator of their reports.
@@ -276,14 +280,14 @@ class Flow:
             options: see :class:`tigar_x.run.running.Run`.
 
         Raises:
-            ValueError: the flow is steady, or an option is not allowed.
+            ValueError: the flow is steady or coupled, or an option is not allowed.
         """
         from tigar_x.run.running import Run  # single steps need nothing of it
         from tigar_x.run.stepping import IntegratorStepper
 
-        if self.time is None:
-            raise ValueError("dt = None: a steady flow has no steps")
-        integrators = {"flow": self.time} | ({} if self.moving is None else {"mesh": self.moving.time})
+        integrators: dict[str, Any] = {"flow": self._own_clock()} | (
+            {} if self.moving is None else {"mesh": self.moving.time}
+        )
         sizes = {"dofs_fluid": self.unknowns}
         stepper = IntegratorStepper(self.take_step, FlowError, halvings=halvings, sizes=sizes, **integrators)
         return Run(stepper, **options)
