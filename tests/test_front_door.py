@@ -7,7 +7,7 @@ from mpi4py import MPI
 from dolfinx import mesh
 from scenes import free_sheet, sheet_in_flow
 
-from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand
+from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand, fluid_side
 from shnapr.shell import Shell
 from shnapr.svk import StVenantKirchhoff
 from tigar_x.fem.linear import direct
@@ -81,6 +81,17 @@ def test_a_shell_that_was_stepped_before_goes_on_in_a_flow_at_the_same_time():
     shell.take_step()
     with pytest.raises(ValueError, match=r"^t = 0\.05: the shell has a clock of its own"):
         CouDALFISh(flow, shell)
+
+
+def test_a_shell_joins_a_flow_at_its_time():
+    flow, shell = a_flow(), a_shell()
+    flow.take_step()
+    report = CouDALFISh(flow, shell).take_step()
+    assert (report.t, shell.time.time) == pytest.approx((2 * DT, 2 * DT))
+
+
+def test_the_size_of_cells_may_be_given_with_a_flow():
+    assert fluid_side(a_flow(), mesh_size=0.3).mesh_size == 0.3
 
 
 FORGOTTEN = {

@@ -246,6 +246,7 @@ def test_numbers_vectors_and_names_become_columns_and_come_back(folder):
     np.testing.assert_array_equal(read["passes"], [1, 2, 3])
     np.testing.assert_array_equal(read.vector("force"), np.outer([0.1, 0.2, 1 / 3], [1, -1]))
     np.testing.assert_array_equal(read.vector("drag"), [[1.5]] * 3)
+    np.testing.assert_array_equal(read.since(0.2).t, [0.2, 1 / 3])
     others = History(("x_1", "x_t1", "x_2"), [[0.0, 1.0, 9.0, 2.0]])
     np.testing.assert_array_equal(others.vector("x"), [[1.0, 2.0]])
     assert "lift" in read

@@ -10,6 +10,7 @@ from dolfinx import fem, mesh
 from mpi_runs import outside
 
 from tigar_x import compat
+from tigar_x.fem.eigen import Eigenpairs
 from tigar_x.geometry import shapes
 from tigar_x.geometry.multipatch import disjoint
 from tigar_x.run.figure import axis_label, draw, lines, over_time
@@ -18,6 +19,7 @@ from tigar_x.run.pictures import Colours, animate
 from tigar_x.run.plane_field import PlaneField
 from tigar_x.splines import sampling
 from tigar_x.splines.flow_pictures import flow_scene
+from tigar_x.splines.modes import mode_curves, write_modes
 from tigar_x.splines.pictures import Surface, View, draw_shell, family, nice_length, scene, surfaces
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -359,3 +361,42 @@ print(sorted(before), "matplotlib" in sys.modules, "matplotlib.pyplot" in sys.mo
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=outside())
     assert done.stdout.split("\n")[-2] == "[] True False"
+
+
+# -- modes ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_modes_are_shown_by_their_largest_values_at_their_frequencies(folder, saved, monkeypatch):
+    spline = ExtractedSpline(shapes.line((0.0, 0.0), (2.0, 0.0), elements=4, degree=2), COMM)
+    shapes_of_modes = [np.outer(rise, [0.0, 1.0]) for rise in (np.linspace(0.0, -8.0, 6), np.linspace(0.25, 0.0, 6))]
+    functions = tuple(spline.function(coefficients) for coefficients in shapes_of_modes)
+    pairs = Eigenpairs(np.array([4.0, 9.0]), np.zeros((2, 0)), np.zeros(2), functions)
+
+    class Frames:
+        def __init__(self, path, spline, *, y):
+            self.y, self.seen = y, []
+            made.append(self)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def write(self, t):
+            largest = np.abs(spline.nodal(self.y)).max(initial=0.0)
+            self.seen.append((t, COMM.allreduce(float(largest), op=MPI.MAX)))
+
+    made = []
+    monkeypatch.setattr("tigar_x.splines.modes.VTUSeries", Frames)
+    write_modes(folder / "modes", spline, pairs)
+    np.testing.assert_allclose(made[0].seen, [(2.0, 1.0), (3.0, 1.0)], rtol=1e-9)
+    draw(folder / "modes.png", mode_curves(spline, pairs, length="m", samples=5))
+    if COMM.rank == 0:
+        curves = [line.get_ydata() for line in saved[0].axes[0].get_lines()]
+        np.testing.assert_allclose(curves, [np.linspace(0.0, 1.0, 5), np.linspace(1.0, 0.0, 5)], atol=0.15)
+        assert [curve[np.abs(curve).argmax()] for curve in curves] == [1.0, 1.0]
+        assert any(text.startswith(r"$\omega$ = 3") for text in texts(saved[0]))
+    else:
+        assert not saved

@@ -125,6 +125,14 @@ def test_other_options_and_values_are_refused(options, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_run_may_be_longer_than_the_one_that_it_goes_on_from(tmp_path):
+    """Lengths are no inputs that have to agree."""
+    stepped = SimpleNamespace(run=lambda **options: options)
+    made = Results("valve", {"level": 2, "until": 1.0, "steps": 3, "frames": 4}, tmp_path, viz=False, restart="latest")
+    given = made.run(stepped, series=["movie"], until=1.0)
+    assert (given["inputs"], given["restart"], given["series"]) == ({"level": 2}, "latest", ())
+
+
 def test_a_study_takes_its_meshes_from_the_options(tmp_path):
     summary = study(out=tmp_path, elements=3, levels=2)
     assert [level["elements"] for level in summary["levels"]] == [3, 6]

@@ -103,6 +103,11 @@ def test_leak_of_a_flow_that_rings_down():
     assert found["largest_backflow"] == pytest.approx(200.0, rel=0.01)
 
 
+def test_a_flow_that_starts_to_go_back_twice_closes_after_the_second_time():
+    q = Course(np.arange(8.0), [1.0, 1.0, -1.0, 0.5, -4.0, -2.0, 0.5, 0.5])
+    assert flow_through(q, 1.0)["closure_time"] == 6.0
+
+
 def test_a_valve_that_never_closes_has_no_closure():
     t = np.linspace(0.0, 0.2, 401)
     found = flow_through(Course(t, np.where(t <= 0.1, 100.0, -50.0)), 0.1)
