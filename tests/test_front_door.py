@@ -83,11 +83,13 @@ def test_a_shell_that_was_stepped_before_goes_on_in_a_flow_at_the_same_time():
         CouDALFISh(flow, shell)
 
 
-def test_a_shell_joins_a_flow_at_its_time():
-    flow, shell = a_flow(), a_shell()
+def test_a_shell_joins_a_flow_at_its_time_and_its_updates_come_along():
+    flow, called = a_flow(), []
+    shell = a_shell(updates=[called.append])
     flow.take_step()
     report = CouDALFISh(flow, shell).take_step()
     assert (report.t, shell.time.time) == pytest.approx((2 * DT, 2 * DT))
+    assert called == pytest.approx([report.t_alpha])
 
 
 def test_the_size_of_cells_may_be_given_with_a_flow():

@@ -24,6 +24,7 @@ from tigar_x.run.running import Run
 from tigar_x.run.tally import Tally
 from varmint.conditions import Velocity
 from varmint.flow import Flow, FlowError
+from varmint.flow.movie import movie
 from varmint.mesh import box
 
 WORLD = MPI.COMM_WORLD
@@ -548,6 +549,11 @@ def test_a_step_of_a_flow_on_a_moving_mesh_is_cut():
     assert attempts == pytest.approx([0.1, 0.05, 0.05])
     assert made.time.time == made.moving.time.time == pytest.approx(0.1)
     assert made.time.step_size == made.moving.time.step_size == 0.1
+
+
+def test_a_movie_of_a_flow_has_the_displacement_of_a_mesh_that_moves():
+    fields = [set(movie(flow(moves), "flow.vtkhdf").keywords) for moves in (False, True)]
+    assert fields == [{"velocity", "pressure"}, {"velocity", "pressure", "mesh_displacement"}]
 
 
 def test_an_interrupt_in_a_step_of_a_flow_leaves_the_state_before_it():
