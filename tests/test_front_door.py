@@ -200,3 +200,17 @@ def test_two_couplers_do_not_share_a_side():
         CouDALFISh(a_flow(), shell)
     again = CouDALFISh(flow, shell, CouplingOptions(penalty=10.0))  # the same two with other options
     assert again.integrators == first.integrators
+
+
+def test_the_tangent_that_a_flow_was_told_to_take_comes_along(monkeypatch):
+    taken = []
+
+    def record(*_, tangent=None, **__):
+        taken.append(tangent)
+        raise InterruptedError
+
+    monkeypatch.setattr("coudalfish.sides.fluid.FiniteElementSystem", record)
+    for frozen in (True, False):
+        with pytest.raises(InterruptedError):
+            CouDALFISh(a_flow(options=FlowOptions(frozen_tangent=frozen)), a_shell())
+    assert [tangent is not None for tangent in taken] == [True, False]
