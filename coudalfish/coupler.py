@@ -6,15 +6,15 @@ fluid and shell (Kamensky, doi:10.1016/j.camwa.2020.01.023).
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import check_levels
-from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides
+from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides, undone
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Outcome, Start, Step
 from coudalfish.step.levels import check_schemes
@@ -35,7 +35,7 @@ __getattr__ = guide(__name__)
 log = logging.getLogger(__name__)
 
 
-class CouDALFISh:
+class CouDALFISh(checks.Made):
     """Couples a flow with an immersed shell.
 
     Args:
@@ -63,6 +63,9 @@ class CouDALFISh:
         ValueError: the subproblems do not fit each other or the options.
     """
 
+    _PARTS = ("fluid", "shell", "mesh_f", "spline_sh", "timeInt_f", "timeInt_sh", "contactContext_sh")
+    _ELSEWHERE: ClassVar[Mapping[str, str]] = {"dt": "step_size", "multiplier": "lam"}
+
     def __init__(
         self,
         fluid: FluidSubproblem | ImmersedFlow,
@@ -73,6 +76,15 @@ class CouDALFISh:
     ) -> None:
         self.options = CouplingOptions() if options is None else options
         checks.kind("options", self.options, CouplingOptions, "CouplingOptions")
+        with undone(shell):
+            self._couple(fluid, shell, multiplier)
+
+    def _couple(
+        self,
+        fluid: FluidSubproblem | ImmersedFlow,
+        shell: ShellSubproblem | ImmersedShell,
+        multiplier: float | FloatArray,
+    ) -> None:
         self.fluid, self.shell = both_sides(fluid, shell)
         self.mesh_f = self.fluid.mesh
         self.spline_sh = self.shell.spline
@@ -91,20 +103,29 @@ class CouDALFISh:
         for integrator in self.integrators:
             if integrator is not self.timeInt_sh:
                 integrator.partner = self.timeInt_sh
+        self._is_made = True
 
     def __repr__(self) -> str:
         time = self.timeInt_f
         return f"CouDALFISh({self.fluid!r}, {self.shell!r}, t = {time.time:g}, dt = {time.step_size:g})"
 
     def _check(self) -> None:
-        times = self.timeInt_f.time, self.timeInt_sh.time, self.timeInt_f.step_size, self.timeInt_sh.step_size
-        if not (math.isclose(times[0], times[1], abs_tol=1e-12 * times[2]) and math.isclose(times[2], times[3])):
-            raise ValueError(f"clocks (t, dt): fluid {times[0::2]}, shell {times[1::2]}: they must be equal")
+        self._check_clocks()
         check_schemes(self.timeInt_f, self.timeInt_sh)
         if self.fluid.moving is not None:
             check_levels(self.fluid.moving, self.timeInt_f)
         if isinstance(self.options.penalty, PenaltyRule) and None in (self.fluid.density, self.fluid.viscosity):
             raise ValueError("a penalty rule needs the fluid's density and viscosity; give them or a number as penalty")
+
+    def _check_clocks(self) -> None:
+        first, *others = self.integrators
+        for name, other in zip(("shell", "mesh"), others, strict=False):
+            same_t = math.isclose(first.time, other.time, abs_tol=1e-12 * first.step_size)
+            if not (same_t and math.isclose(first.step_size, other.step_size)):
+                clocks = f"fluid {first.time, first.step_size}, {name} {other.time, other.step_size}"
+                raise ValueError(
+                    f"clocks (t, dt): {clocks}: they must be equal; the step_size of what couples them sets all"
+                )
 
     @property
     def integrators(self) -> tuple[TimeIntegrator, ...]:
@@ -146,7 +167,9 @@ class CouDALFISh:
 
         Raises:
             StepError: the step was not accepted; fields, multiplier and clocks are those of the last good step.
+            ValueError: a side has another clock.
         """
+        self._check_clocks()
         self._share()
         restore = self._save()
         try:

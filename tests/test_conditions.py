@@ -519,6 +519,7 @@ ONE_OF = "one of 'left', 'right', 'bottom', 'top' is required"
         (lambda: Traction("lid"), "^facet group 'lid' does not exist"),
         (lambda: WeakVelocity("lid"), "^facet group 'lid' does not exist"),
         (lambda: Resistance("lid"), "^facet group 'lid' does not exist"),
+        (lambda: Velocity((1.0, 0.0), "left"), r"^on = \(1\.0, 0\.0\): the name of a facet group is required"),
         (lambda: Velocity(()), "^on is empty: the name of a facet group is required"),
         (lambda: Velocity("left", (1.0, 2.0, 3.0)), r"^Velocity\('left'\)\.value has shape \(3,\): shape \(2,\)"),
         (lambda: Velocity("left", (1.0,)), r"^Velocity\('left'\)\.value has shape \(1,\): shape \(2,\)"),

@@ -8,6 +8,7 @@ from dolfinx import mesh
 from scenes import free_sheet, sheet_in_flow
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand, fluid_side
+from shnapr.conditions import DeadLoad
 from shnapr.shell import Shell
 from shnapr.svk import StVenantKirchhoff
 from tigar_x.fem.linear import direct
@@ -214,3 +215,66 @@ def test_the_tangent_that_a_flow_was_told_to_take_comes_along(monkeypatch):
         with pytest.raises(InterruptedError):
             CouDALFISh(a_flow(options=FlowOptions(frozen_tangent=frozen)), a_shell())
     assert [tangent is not None for tangent in taken] == [True, False]
+
+
+def test_a_coupling_that_is_refused_leaves_the_shell_without_a_clock():
+    """It is solved in statics and coupled with a flow of another time step then, as if nothing had been tried."""
+    shell = a_shell(loads=[DeadLoad((0.1, 0.0))])
+    residual = shell.residual
+    with pytest.raises(ValueError, match="multiplier has shape"):
+        CouDALFISh(a_flow(), shell, multiplier=np.zeros(3))
+    assert shell.time is None
+    assert shell.residual is residual
+    shell.solve()
+    bent = shell.y.x.array.copy()
+    fsi = CouDALFISh(a_flow(dt=0.1), shell)
+    assert fsi.timeInt_sh.step_size == 0.1
+    np.testing.assert_array_equal(shell.time.x_old.x.array, bent)
+    with pytest.raises(ValueError, match="multiplier has shape"):  # what is coupled already stays so
+        CouDALFISh(fsi.fluid, shell, multiplier=np.zeros(3))
+    assert shell.time is fsi.timeInt_sh
+
+
+def test_a_shell_without_a_clock_has_none_to_give_back():
+    for shell in (a_shell(), a_shell(dt=DT)):
+        with pytest.raises(ValueError, match=r"^Shell.* has no clock that bind\(\) brought"):
+            shell.release()
+
+
+def test_a_step_size_of_one_side_alone_is_refused():
+    flow, shell = a_flow(), a_shell()
+    fsi = CouDALFISh(flow, shell)
+    flow.time.step_size = 0.1
+    with pytest.raises(
+        ValueError, match=r"^clocks \(t, dt\): fluid \(0\.0, 0\.1\), shell \(0\.0, 0\.05\): .* sets all"
+    ):
+        fsi.take_step()
+    fsi.step_size = 0.1
+    assert fsi.take_step().t == 0.1
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "message"),
+    [
+        (a_flow, "mu", r"^Flow\.mu = 0\.5: the equations have its Constant; mu\.value is what can be set"),
+        (a_flow, "dt", r"^Flow\.dt = 0\.5: time\.step_size is what can be set"),
+        (a_flow, "conditions", r"^Flow\.conditions = 0\.5: it belongs to what is made already; another Flow is requi"),
+        (a_shell, "density", r"^Shell\.density = 0\.5: the equations have its Constant; density\.value"),
+        (a_shell, "loads", r"^Shell\.loads = 0\.5: it belongs to what is made already; another Shell is required"),
+        (a_shell, "thickness", r"^Shell\.thickness = 0\.5: material\.thickness\.value is what can be set"),
+        (lambda: CouDALFISh(a_flow(), a_shell()), "dt", r"^CouDALFISh\.dt = 0\.5: step_size is what can be set"),
+        (lambda: CouDALFISh(a_flow(), a_shell()), "shell", r"^CouDALFISh\.shell = 0\.5: .* another CouDALFISh is req"),
+    ],
+)
+def test_what_is_set_too_late_to_have_an_effect_is_refused(make, name, message):
+    thing = make()
+    with pytest.raises(AttributeError, match=message):
+        setattr(thing, name, 0.5)
+
+
+def test_what_is_read_when_it_is_needed_can_be_set():
+    flow, shell = a_flow(), a_shell()
+    fsi = CouDALFISh(flow, shell)
+    flow.mu.value = shell.density.value = 0.5
+    fsi.options, fsi.step_size = CouplingOptions.steady(), 0.1
+    assert fsi.options.relaxation_mode == "smoothed"

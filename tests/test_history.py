@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import ufl
 from mpi4py import MPI
 
 from tigar_x.run.course import Course, Extreme
@@ -290,11 +291,14 @@ def test_a_history_that_goes_on_has_the_same_columns(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "reason"),
     [
+        ("monitors.leak", r"^history = 'monitors\.leak': columns by name, such as \{.* is required"),
+        ({"a": "leak"}, r"^column = 'leak': .* has no 'leak'; one of .* is required"),
+        ({"a": ufl.Form([])}, r"columns\['a'\] is a form: a function is required, such as varmint's Measured"),
         ({"a": 3.0}, r"columns\['a'\] = 3.0: a function or the name"),
         ({"a\n": "t"}, "column = 'a"),
         ({("a", "b"): lambda: [1.0]}, "1 numbers were measured, 2 are required"),
-        ({"a": lambda: "much"}, "column 'a' = 'much': a number is required"),
-        ({"a": lambda: None}, "column 'a' = None: a number is required"),
+        ({"a": lambda: "much"}, "column 'a' = 'much': a number, a vector or a dict of them is"),
+        ({"a": lambda: None}, "column 'a' = None: a number, a vector or a dict"),
         ({"t": "t"}, "is there twice"),
         ({"a": lambda: {"b": 1}, "b": "t"}, "is there twice"),
     ],
@@ -314,6 +318,14 @@ def test_a_file_that_is_no_history_is_refused(text, tmp_path):
     (tmp_path / "history.csv").write_text(text)
     with pytest.raises(ValueError, match="not a history"):
         History.read(tmp_path / "history.csv")
+
+
+def test_a_history_is_found_in_the_folder_of_its_run_and_tells_of_vectors(tmp_path):
+    recorded(tmp_path / "history.csv", [0.1], columns={"force": lambda: [1.0, 2.0]})
+    found = History.read(tmp_path)
+    assert found.names == ("force_1", "force_2")
+    with pytest.raises(KeyError, match=r"'force' is a vector: vector\('force'\)"):
+        found["force"]
 
 
 def test_rows_fit_the_names():

@@ -101,7 +101,7 @@ def test_a_flow_in_a_script_runs_as_printed(names_of):
     assert center[2] == pytest.approx(0.8, rel=0.05)
     assert len(friction) == 10
     assert friction[-1] == pytest.approx(0.4 * 2.0, rel=0.2)  # mu du/dy times the length, less near the outlet
-    for left in ("flow.vtkhdf", "history.csv", "channel.png"):
+    for left in ("flow.vtkhdf", "history.csv", "channel.png", "flow.gif", "flow.png"):
         assert Path("results/channel", left).exists()
 
 

@@ -2,12 +2,22 @@
 
 from functools import cache
 
+import numpy as np
 import pytest
 from mpi4py import MPI
 from scenes import sheet_in_flow
 
 from shnapr.contact import LinearKernel, SelfContact
-from tigar_x import ExtractedSpline, NodalQuadrature, TimeIntegrator, constraints, disjoint, generalized_alpha, shapes
+from tigar_x import (
+    Eigenpairs,
+    ExtractedSpline,
+    NodalQuadrature,
+    TimeIntegrator,
+    constraints,
+    disjoint,
+    generalized_alpha,
+    shapes,
+)
 from varmint import Flow, Traction, Velocity, WeakVelocity, box
 
 LINE = shapes.line((0, 0), (1, 0), elements=4, degree=2)
@@ -55,3 +65,8 @@ def test_main_objects_show_their_sizes_in_one_line_without_other_ranks():
             assert repr(thing) == line
             assert len(line) < 200
     MPI.COMM_WORLD.Barrier()
+
+
+def test_modes_show_their_first_values():
+    pairs = Eigenpairs(np.arange(8.0) / 3.0, np.zeros((8, 2)), np.zeros(8))
+    assert repr(pairs) == "Eigenpairs(8 values: 0, 0.333333, 0.666667, 1, 1.33333, 1.66667, ...)"

@@ -444,6 +444,7 @@ def test_what_is_refused_deletes_nothing(options, reason, tmp_path):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
+        ({"steps": 1, "measure": {"a": len}}, r"measure = \{'a': .*: a function is required"),
         ({}, "until = None, steps = None: one of them is required"),
         ({"until": 1.0, "steps": 3}, "until = 1.0, steps = 3: one of them is required"),
         ({"until": 0.0}, "until = 0.0: a time later than t = 0, where the run begins, is required"),
@@ -478,6 +479,24 @@ def test_the_bar_of_a_run_ends_its_line(monkeypatch, capsys):
     assert text.count("\n") == 1
     assert "step 3/3" in text
     assert Progress(3)._n == 3
+
+
+def test_an_end_between_steps_is_told_before_the_first_of_them(caplog):
+    run = run_of(Logistic(), until=0.67)
+    assert [r.getMessage() for r in caplog.records] == [
+        "until = 0.67 is no whole number of steps of 0.1 away: the run ends at t = 0.7"
+    ]
+    caplog.clear()
+    run.through()
+    assert not caplog.records
+    run_of(Logistic(), until=0.7), run_of(Logistic(), steps=3)
+    assert not caplog.records
+
+
+def test_one_series_need_not_be_in_a_list():
+    log = Log()
+    run_of(Logistic(), steps=2, series=log).through()
+    assert log.times == [0.1, 0.2]
 
 
 # -- a coupled scene and a flow ---------------------------------------------------------------------------------------

@@ -115,6 +115,11 @@ def test_areas_are_those_that_an_axis_sees():
     assert sampling.enclosed_area(square.reshape(2, 2, 3)) == pytest.approx(1.0)
 
 
+def test_a_curve_is_sampled_at_one_number():
+    curve = on_one_rank(quarter())
+    np.testing.assert_array_equal(sampling.marks(curve, 0.3).reference, sampling.marks(curve, [0.3]).reference)
+
+
 def test_what_cannot_be_sampled_is_refused(two):
     curve = on_one_rank(quarter())
     with pytest.raises(ValueError, match=r"xi\[1\] = \[0.2 1.1\]: parameters within patch 0"):

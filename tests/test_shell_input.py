@@ -41,8 +41,14 @@ REFUSED = {
     "first-order scheme": (MOVING | {"scheme": backward_euler()}, r"order of scheme = 1: one of 2 is required"),
     "unknown side": ({"clamped": ["end"]}, "end"),
     "one text for sides": ({"clamped": "u0"}, r"clamped = 'u0': a list or a tuple is required, such as \['u0'\]"),
-    "no patch": ({"geometry": None}, "geometry = None: a Patch, a MultiPatch or an ExtractedSpline is required"),
-    "no material": ({"material": 1e3}, r"material = 1000\.0: a material, such as shnapr's StVenantKirchhoff is"),
+    "no patch": (
+        {"geometry": None},
+        r"geometry = None: a Patch, a MultiPatch such as disjoint\(first, second\), or an Ex",
+    ),
+    "no material": (
+        {"material": 1e3},
+        r"material = 1000\.0: a material, such as shnapr's StVenantKirchhoff or Hyperelastic, is",
+    ),
     "class of a load": ({"loads": [Pressure]}, r"loads\[0\] = <class .*Pressure'>: a load, such as .* is required"),
     "one load": ({"loads": Pressure(1.0)}, r"loads = Pressure\(value=1\.0\): a list or a tuple is required"),
     "load of another shape": (

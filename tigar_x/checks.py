@@ -1,9 +1,9 @@
 """Checks of user input: each returns the checked value or raises an exception that says what is allowed."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import ufl
@@ -227,6 +227,35 @@ def listed(name: str, value: Any) -> Sequence[Any]:
     if not isinstance(value, list | tuple):
         raise ValueError(f"{name} = {value!r}: a list or a tuple is required, such as [{value!r}]")
     return value
+
+
+class Made:
+    """What is made of parts that its equations contain: once it is made, to set one in its place is refused.
+
+    It would have no effect. What may be set are values that are read when they are needed, and names of a script's own.
+    """
+
+    _PARTS: ClassVar[tuple[str, ...]] = ()
+    """Names that may not be set, besides those of Constants."""
+    _ELSEWHERE: ClassVar[Mapping[str, str]] = {}
+    """Names that may not be set as well, and what is to be set in their place."""
+    _is_made = False
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if self._is_made and not name.startswith("_"):
+            self._check_part(name, value)
+        object.__setattr__(self, name, value)
+
+    def _check_part(self, name: str, value: Any) -> None:
+        present, what = self.__dict__.get(name), f"{type(self).__name__}.{name} = {value!r}"
+        if isinstance(present, ufl.Constant) and value is not present:
+            raise AttributeError(f"{what}: the equations have its Constant; {name}.value is what can be set")
+        if name in self._PARTS:
+            raise AttributeError(
+                f"{what}: it belongs to what is made already; another {type(self).__name__} is required"
+            )
+        if name in self._ELSEWHERE:
+            raise AttributeError(f"{what}: {self._ELSEWHERE[name]} is what can be set")
 
 
 def having(name: str, value: Any, names: str, wanted: str) -> None:

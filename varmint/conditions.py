@@ -91,6 +91,8 @@ def _groups(on: str | Sequence[str]) -> tuple[str, ...]:
     names = (on,) if isinstance(on, str) else tuple(checks.listed("on", on))
     if not names:
         raise ValueError("on is empty: the name of a facet group is required")
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"on = {on!r}: the name of a facet group is required, or several")
     return names
 
 
@@ -118,6 +120,9 @@ class Condition:
     """
 
     on: str | Sequence[str]
+
+    def __post_init__(self) -> None:
+        _groups(self.on)
 
     def __str__(self) -> str:
         return f"{type(self).__name__} on {', '.join(self.groups)}"
@@ -156,6 +161,7 @@ class Velocity(Condition):
     components: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.components is not None:
             checks.listed(self._name("components"), self.components)
 
@@ -310,6 +316,7 @@ class Resistance(Condition):
     gamma: Any = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         checks.not_negative("resistance", self.resistance)
         checks.finite("pressure", self.pressure)
 

@@ -4,7 +4,8 @@ They know what a script would otherwise repeat: residual, tangent, integrator, c
 surface's band, density and viscosity.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Protocol, cast
 
 import ufl
@@ -76,9 +77,28 @@ class ImmersedShell(Protocol):
     def bind(self, dt: float, scheme: Scheme, t: float = 0.0) -> None:
         """Take over the clock of a flow, or check that the own one agrees."""
 
+    def release(self) -> None:
+        """Give back the clock that :meth:`bind` brought, as no coupling came of it."""
+
 
 OF_FLOWS = ("residual", "tangent", "bcs", "time")
-OF_SHELLS = ("spline", "time", "residual", "tangent", "contact", "solver", "updates", "bind")
+OF_SHELLS = ("spline", "time", "residual", "tangent", "contact", "solver", "updates", "bind", "release")
+
+
+@contextmanager
+def undone(shell: ShellSubproblem | ImmersedShell) -> Iterator[None]:
+    """What fails within leaves a shell without the clock that it got there, so that it can be given another one.
+
+    Args:
+        shell: the shell's side as the script gave it.
+    """
+    had_none = getattr(shell, "time", False) is None
+    try:
+        yield
+    except BaseException:
+        if had_none and not isinstance(shell, ShellSubproblem) and shell.time is not None:
+            shell.release()
+        raise
 
 
 def both_sides(

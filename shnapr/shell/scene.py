@@ -1,8 +1,8 @@
 """What a shell consists of: spline, equations and state, with or without a clock."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import scipy.sparse as sp
 import ufl
@@ -48,8 +48,15 @@ class Contact(Protocol):
         """The contact between points."""
 
 
-class Scene:
+class Scene(checks.Made):
     """A shell without what solves for it; the arguments and attributes are those of :class:`shnapr.shell.Shell`."""
+
+    _ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "dt": "time.step_size",
+        "step_size": "time.step_size",
+        "thickness": "material.thickness.value",
+    }
+    _PARTS = ("spline", "material", "density", "loads", "contact", "solver", "updates", "y")
 
     def __init__(
         self,
@@ -75,7 +82,8 @@ class Scene:
     ) -> None:
         if density is not None:
             checks.parameter("density", density, checks.not_negative)
-        checks.having("material", material, "energy_density", "a material, such as shnapr's StVenantKirchhoff")
+        wanted = "a material, such as shnapr's StVenantKirchhoff or Hyperelastic,"
+        checks.having("material", material, "energy_density", wanted)
         for i, load in enumerate(checks.listed("loads", loads)):
             checks.having(f"loads[{i}]", load, "term", "a load, such as shnapr's Pressure(1.0)")
         if contact is not None:
@@ -105,10 +113,12 @@ class Scene:
         self.contact = None if contact is None else contact.of(NodalQuadrature.of(self.spline))
         self.y = self.spline.function(name="y")
         self._velocity: fem.Function | None = None
+        self._unbound: Displacements | MembraneForces | None = None
         self.time: TimeIntegrator | None = None
         self._equations: Displacements | MembraneForces = self._static_equations(is_mixed)
         if dt is not None:
             self._set_clock(dt, generalized_alpha(0.5, 2) if scheme is None else scheme, 0.0)
+        self._is_made = True
 
     def _static_equations(self, is_mixed: bool) -> "Displacements | MembraneForces":
         scene = (self.spline, self.material, self.density, self.loads)
@@ -143,9 +153,22 @@ class Scene:
         """
         wanted = companion(scheme) if scheme.order == 1 else scheme
         if self.time is None:
+            statics = self._equations
             self._set_clock(dt, wanted, t)
+            self._unbound = statics
         else:
             check_binding(self.time, dt, wanted, t)
+
+    def release(self) -> None:
+        """Give back a clock that :meth:`bind` brought and that no step was made with: the shell is what it was before.
+
+        Raises:
+            ValueError: the shell has no such clock.
+        """
+        if self._unbound is None:
+            raise ValueError(f"{self!r} has no clock that bind() brought")
+        self._equations, self.time, self._unbound = self._unbound, None, None
+        self._forget()
 
     def _set_clock(self, dt: float, scheme: Scheme, t: float) -> None:
         self._in_displacements("a clock")
@@ -155,6 +178,9 @@ class Scene:
         time = TimeIntegrator(self.y, dt, scheme, t=t, xdot=self._velocity)
         self._equations = Displacements(self.spline, self.material, self.density, self.loads, time)
         self.time = time
+        self._forget()
+
+    def _forget(self) -> None:
         for name in ("system", "_energies"):
             self.__dict__.pop(name, None)
 
@@ -247,7 +273,8 @@ class Scene:
 
         Args:
             place: name of a side, such as that of a tip; or parameters within a patch, shape (..., parametric
-                dimension); or a sampling, made once for many states, see :mod:`tigar_x.splines.sampling`.
+                dimension), of a curve also one number; or a sampling, made once for many states, see
+                :mod:`tigar_x.splines.sampling`.
             along: of a side of a surface: how far along it the point is, from 0 to 1.
             patch: whose side or parameters.
 

@@ -46,7 +46,8 @@ def supported(
                 " constraints and quadrature_degree are for patches"
             )
         return geometry
-    checks.kind("geometry", geometry, Patch | MultiPatch, "a Patch, a MultiPatch or an ExtractedSpline")
+    wanted = "a Patch, a MultiPatch such as disjoint(first, second), or an ExtractedSpline"
+    checks.kind("geometry", geometry, Patch | MultiPatch, wanted)
     for name, sides, hold in (("clamped", clamped, supports.clamped), ("pinned", pinned, supports.pinned)):
         if checks.listed(name, sides):
             held.append(hold(geometry, *sides))

@@ -50,6 +50,10 @@ class Eigenpairs:
     def __post_init__(self) -> None:
         checks.freeze(self)
 
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{value:.6g}" for value in self.values[:6]) + (", ..." if len(self.values) > 6 else "")
+        return f"Eigenpairs({len(self.values)} values: {shown})"
+
 
 def eigenpairs(K: PETSc.Mat, M: PETSc.Mat, count: int, *, shift: float = 0.0, backend: str | None = None) -> Eigenpairs:
     """The eigenpairs nearest to a shift; with a shift below the spectrum, the smallest.

@@ -11,11 +11,11 @@ import csv
 import inspect
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import ufl
 from mpi4py import MPI
 
 from tigar_x import checks
@@ -23,6 +23,9 @@ from tigar_x.compat import FloatArray
 from tigar_x.ranks import first, on_root
 from tigar_x.run.course import Course
 from tigar_x.run.output import CSVSeries, Series, check_writable, is_later
+
+FILE = "history.csv"
+"""Name of the file of a run's history."""
 
 Column = Callable[..., Any] | str
 Columns = Mapping[Any, Column]
@@ -56,7 +59,7 @@ class History:
         """Read what :class:`tigar_x.run.output.CSVSeries` has written (collective).
 
         Args:
-            path: of the file.
+            path: of the file, or the folder of a run, which has it as ``history.csv``.
 
         Raises:
             OSError: on all ranks: the file cannot be read.
@@ -72,6 +75,8 @@ class History:
         """
         if name == "t":
             return self.rows[:, 0]
+        if f"{name}_1" in self.names and name not in self.names:
+            raise KeyError(f"{name!r} is a vector: vector({name!r}), or one of its columns {name}_1, {name}_2, ...")
         if name not in self.names:
             raise KeyError(f"{name!r}: one of {('t', *self.names)} is required")
         return self.rows[:, 1 + self.names.index(name)]
@@ -120,6 +125,7 @@ class History:
 
 
 def _read(path: Path) -> tuple[list[str], FloatArray]:
+    path = path / FILE if path.is_dir() else path
     with open(path, newline="") as file:
         rows = [row for row in csv.reader(file) if row]
     if not rows or rows[0][0] != "t":
@@ -131,10 +137,22 @@ def _read(path: Path) -> tuple[list[str], FloatArray]:
         raise ValueError(f"{path}: not a history of numbers ({error})") from error
 
 
+def _of(report: Any, name: str) -> Any:
+    """What a report has under a dotted name."""
+    found = report
+    for part in name.split("."):
+        if not hasattr(found, part):
+            has = ", ".join(known for known in dir(found) if not known.startswith("_"))
+            of = type(found).__name__
+            raise ValueError(f"column = {name!r}: {of} has no {part!r}; one of {has or 'nothing'} is required")
+        found = getattr(found, part)
+    return found
+
+
 def of_report(column: Column) -> Callable[[Any], Any]:
     """A function of a report, from one that may take none, or from the dotted name of what a report has."""
     if isinstance(column, str):
-        return attrgetter(column)
+        return lambda report: _of(report, column)
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     try:
         parameters = inspect.signature(column).parameters.values()
@@ -161,6 +179,7 @@ class Recorder(Series):
     """
 
     def __init__(self, columns: Columns, path: Path | str | None = None, *, after: float | None = None) -> None:
+        checks.kind("history", columns, Mapping, 'columns by name, such as {"leak": "monitors.leak"},')
         self._columns = [(_names(name), of_report(_checked(name, column))) for name, column in columns.items()]
         self._path, self._after = None if path is None else Path(path), after
         self._names: list[str] | None = None
@@ -219,6 +238,8 @@ def _names(name: Any) -> Any:
 
 
 def _checked(name: Any, column: Any) -> Column:
+    if isinstance(column, ufl.Form):
+        raise ValueError(f"columns[{name!r}] is a form: a function is required, such as varmint's Measured(x=form)")
     if not (isinstance(column, str) or callable(column)):
         raise ValueError(f"columns[{name!r}] = {column!r}: a function or the name of what the report has is required")
     return column
@@ -250,4 +271,4 @@ def _number(name: str, value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"column {name!r} = {value!r}: a number is required") from error
+        raise ValueError(f"column {name!r} = {value!r}: a number, a vector or a dict of them is required") from error

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from mpi4py import MPI
 from dolfinx import io, mesh
@@ -18,10 +18,6 @@ from tigar_x import checks
 from tigar_x.ranks import all_come, on_root, together
 from tigar_x.run.vertex_values import Components, VertexValues
 from tigar_x.run.writing import replace_text
-
-if TYPE_CHECKING:
-    pass
-
 
 SLACK = 1e-9
 """By which a time on disk may differ from the same time of the clock, relative to it."""

@@ -26,7 +26,7 @@ from mpi4py import MPI
 
 from tigar_x import checks
 from tigar_x.ranks import all_come
-from tigar_x.run.history import Columns, History, Recorder
+from tigar_x.run.history import FILE, Columns, History, Recorder
 from tigar_x.run.progress import Progress, Termination
 from tigar_x.run.restart import Restart
 from tigar_x.run.stepping import Stepper, Writes
@@ -38,6 +38,7 @@ log = logging.getLogger(__name__)
 
 TOLD = "ended after step %d at t = %.6g, as told%s"
 GOES_ON = "; restart = latest goes on from %s"
+ENDS = "until = %.6g is no whole number of steps of %.6g away: the run ends at t = %.6g"
 SLACK = 1e-9
 """Part of the time between outputs by which a step may come too early for one."""
 
@@ -59,7 +60,7 @@ class Run:
         every: between outputs by the series, a number of intervals (int) or a time (float); the last interval is
             written in any case. None: 1, unless there are ``frames``.
         frames: number of outputs of the whole run instead, at least; 0: none.
-        series: what writes: objects with ``write(t)``, or functions of ``after`` that make one, such as
+        series: what writes, one or several: objects with ``write(t)``, or functions of ``after`` that make one, such as
             ``partial(VTUSeries, path, spline)``. Only the latter can go on with files of an earlier run, as they are
             called when the folder has been claimed, with the time that the run goes on from (None: it is new).
         measure: called in every step with its new state, for what belongs to the level of the equations;
@@ -95,7 +96,7 @@ class Run:
         out: Path | str | None = None,
         every: float | None = None,
         frames: int | None = None,
-        series: Sequence[Writes | Callable[..., Writes]] = (),
+        series: Sequence[Writes | Callable[..., Writes]] | Writes | Callable[..., Writes] = (),
         measure: Callable[[], Any] | None = None,
         history: Columns | None = None,
         restart: str | int | Path | None = None,
@@ -105,6 +106,8 @@ class Run:
         show: Callable[[Any], str] | bool | None = None,
     ) -> None:
         goes_on = restart is not None and restart != ""
+        if not (measure is None or callable(measure)):
+            raise ValueError(f"measure = {measure!r}: a function is required")
         self._until, self._steps = _end(until, steps)
         self._every, self._frames = _outputs(every, frames)
         self._checkpoint_every = checks.whole("checkpoint_every", checkpoint_every, 0)
@@ -114,6 +117,7 @@ class Run:
                 f"out = None: a folder is required with restart = {restart!r}, checkpoint_every = {checkpoint_every}, "
                 f"overwrite = {overwrite}"
             )
+        series = series if isinstance(series, list | tuple) else (series,)
         for item in series:
             if not (hasattr(item, "write") or callable(item)):
                 raise ValueError(f"series: {item!r} can neither write nor be called with after=")
@@ -137,9 +141,10 @@ class Run:
         self.writes = False
         if self._frames is not None:
             self._every = max(1, self.steps // self._frames) if self._frames else None
-        path = None if self.out is None else self.out / "history.csv"
+        path = None if self.out is None else self.out / FILE
         self._recorder = None if history is None else Recorder(history, path, after=self.after)
         self._begun = False
+        self._tell_end()
 
     def __repr__(self) -> str:
         return f"Run(step {self.step} of {self.steps}, t = {self._stepper.time:g}, {self.out or 'no files'})"
@@ -256,6 +261,11 @@ class Run:
         progress.show(text)
         if self.step == self.steps:
             progress.end()
+
+    def _tell_end(self) -> None:
+        end = self._stepper.time + (self.steps - self.step) * self._size
+        if self._until is not None and abs(end - self._until) > 1e-3 * self._size and MPI.COMM_WORLD.rank == 0:
+            log.warning(ENDS, self._until, self._size, end)
 
     def _ends(self, told: bool) -> bool:
         """Write a checkpoint where one is due; whether the run is to end."""

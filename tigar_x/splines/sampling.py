@@ -95,16 +95,16 @@ def marks(spline: ExtractedSpline, xi: ArrayLike, *, patch: int | None = None) -
 
     Args:
         spline: curve, surface or volume.
-        xi: parameters of a patch in its own range, shape (..., parametric dimension).
+        xi: parameters of a patch in its own range, shape (..., parametric dimension); of a curve also one number.
         patch: which patch; None: all of them, with the same parameters.
 
     Raises:
         ValueError: there is no such patch, or a parameter lies outside of it.
     """
-    xi = np.asarray(xi, dtype=float)
-    flat = checks.array("xi", xi.reshape(-1, xi.shape[-1]) if xi.ndim > 1 else xi[None], (None, spline.dim))
+    points = np.atleast_1d(np.asarray(xi, dtype=float))
+    flat = checks.array("xi", points.reshape(-1, points.shape[-1]), (None, spline.dim))
     plane = [within_patch(spline.geometry.functions, k, flat) for k in _patches(spline, patch)]
-    return _sampling(spline, plane, xi.shape[:-1], patch)
+    return _sampling(spline, plane, points.shape[:-1], patch)
 
 
 def line(

@@ -4,9 +4,9 @@ What the scene does not have is not in its forms, see :mod:`varmint.forms.vms`; 
 first solve. A flow that is made for it (``immersed=True``) can be given to a coupler instead of being solved here.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import ufl
 
@@ -48,7 +48,7 @@ PREFIX = "fluid_"
 """Of the PETSc options of a flow's linear solver."""
 
 
-class Flow:
+class Flow(checks.Made):
     """Incompressible flow on a mesh with named facets.
 
     Args:
@@ -85,6 +85,14 @@ class Flow:
     Raises:
         ValueError: a number, shape or name is not allowed, or a boundary facet has no condition or two.
     """
+
+    _ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "dt": "time.step_size",
+        "step_size": "time.step_size",
+        "density": "rho.value",
+        "viscosity": "mu.value",
+    }
+    _PARTS = ("mesh", "conditions", "degree", "moving", "time", "scales", "w")
 
     def __init__(
         self,
@@ -130,6 +138,7 @@ class Flow:
         if self.time is not None:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
             self.time.needs = FlowNeeds(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu, self.scales)
+        self._is_made = True
 
     def __repr__(self) -> str:
         return f"Flow({self._state.outline}, {'; '.join(map(str, self.conditions))})"
