@@ -56,7 +56,7 @@ class Scene(checks.Made):
         "step_size": "time.step_size",
         "thickness": "material.thickness.value",
     }
-    _PARTS = ("spline", "material", "density", "loads", "contact", "solver", "updates", "y")
+    _PARTS = ("spline", "material", "density", "loads", "contact", "solver", "y")
 
     def __init__(
         self,

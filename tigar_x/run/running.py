@@ -144,7 +144,9 @@ class Run:
         path = None if self.out is None else self.out / FILE
         self._recorder = None if history is None else Recorder(history, path, after=self.after)
         self._begun = False
-        self._tell_end()
+        end = self._stepper.time + (self.steps - self.step) * self._size
+        if self._until is not None and abs(end - self._until) > 1e-3 * self._size and MPI.COMM_WORLD.rank == 0:
+            log.warning(ENDS, self._until, self._size, end)
 
     def __repr__(self) -> str:
         return f"Run(step {self.step} of {self.steps}, t = {self._stepper.time:g}, {self.out or 'no files'})"
@@ -261,11 +263,6 @@ class Run:
         progress.show(text)
         if self.step == self.steps:
             progress.end()
-
-    def _tell_end(self) -> None:
-        end = self._stepper.time + (self.steps - self.step) * self._size
-        if self._until is not None and abs(end - self._until) > 1e-3 * self._size and MPI.COMM_WORLD.rank == 0:
-            log.warning(ENDS, self._until, self._size, end)
 
     def _ends(self, told: bool) -> bool:
         """Write a checkpoint where one is due; whether the run is to end."""
