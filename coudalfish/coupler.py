@@ -21,6 +21,7 @@ from coudalfish.step.levels import check_schemes
 from coudalfish.step.options import CouplingOptions, PenaltyRule
 from coudalfish.step.report import RejectedStepError, StepReport
 from coudalfish.step.watch import Watch
+from coudalfish.surface.meeting import meets
 from coudalfish.surface.trace import PointLocator
 from tigar_x import checks, ranks
 from tigar_x.compat import FloatArray
@@ -97,6 +98,8 @@ class CouDALFISh(checks.Made):
         given = np.full(points, checks.finite("multiplier", multiplier)) if one else multiplier
         self.lam = checks.array("multiplier", given, (points,)).copy()
         self.locator = PointLocator(self.mesh_f)
+        of_points = self.shell.sheets, self.shell.quadrature.weights
+        self._meets = meets(self.options.trace, self.fluid.velocity_space, *of_points)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(self.fluid, self.shell)
         self.timeInt_sh.partner = self.timeInt_f
@@ -208,7 +211,7 @@ class CouDALFISh(checks.Made):
             cautious: see :class:`coudalfish.step.attempt.Step`.
         """
         start = Start(self.lam, self.floors, self.penalty)
-        sides, tools = (self.fluid, self.shell), (self.locator, self.watch)
+        sides, tools = (self.fluid, self.shell), (self._meets, self.locator, self.watch)
         return Step(*sides, self.options, start, *tools, cautious=cautious)
 
     def _attempt(self, restore: Callable[[], None]) -> Outcome:

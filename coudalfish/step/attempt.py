@@ -21,9 +21,10 @@ from coudalfish.step.options import CouplingOptions
 from coudalfish.step.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.step.watch import Watch
 from coudalfish.surface import exchange
+from coudalfish.surface.meeting import Meets
 from coudalfish.surface.monitors import Monitors, monitors_of
 from coudalfish.surface.multiplier import Multiplier, held_points
-from coudalfish.surface.trace import PointLocator, trace_matrix
+from coudalfish.surface.trace import PointLocator
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
@@ -70,7 +71,8 @@ class Step:
         shell: the immersed structure.
         options: how they are coupled.
         start: what the step starts from.
-        locator: finds the points in the fluid's mesh.
+        meets: how the surface meets the fluid.
+        locator: finds points in the fluid's mesh.
         watch: what looks for numbers out of their limits.
         cautious: under-relax the shell, accelerate from the start and assemble tangents in every pass.
 
@@ -85,6 +87,7 @@ class Step:
         shell: ShellSubproblem,
         options: CouplingOptions,
         start: Start,
+        meets: Meets,
         locator: PointLocator,
         watch: Watch,
         *,
@@ -92,7 +95,7 @@ class Step:
     ) -> None:
         self.fluid, self.shell, self.comm = fluid, shell, fluid.comm
         self.options = replace(options, tangent_update="pass", accelerate_after=0) if cautious else options
-        self.locator, self.watch, self.cautious = locator, watch, cautious
+        self.meets, self.locator, self.watch, self.cautious = meets, locator, watch, cautious
         self.lam, self.floors, self.beta = start.lam, start.floors, start.penalty
         self.anderson = Anderson(max(self.options.acceleration, 1))
         self.dt = fluid.timeInt.step_size
@@ -139,16 +142,14 @@ class Step:
         x = ranks.first(self.comm, self.shell.positions())
         if not np.isfinite(x).all():
             raise RejectedStepError("shell", "the predicted positions are not finite")
-        location = self.location = self.locator.locate(x)
-        self.inactive = int((~location.active).sum())
-        self.W = np.where(location.active, self.shell.quadrature.weights, 0.0)
-        self.trace = trace_matrix(self.fluid.velocity_space, location)
+        meeting = self.meeting = self.meets(x, self.locator)
+        self.inactive, self.W, self.trace = int((~meeting.active).sum()), meeting.W, meeting.trace
         if self.fluid.band is not None:
-            self.fluid.band.update(location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
+            self.fluid.band.update(meeting.location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
         means = self.vertex_functions if self.options.relaxation_mode == "smoothed" else None
         held = held_points(self.comm, self.fluid.free, self.shell.sheets, self.trace, self.n)
-        of_points = {"held": held, "active": location.active, "weights": self.shell.quadrature.weights}
+        of_points = {"held": held, "active": meeting.active, "weights": self.W}
         self.multiplier = Multiplier(self.lam, self.n, self.shell.sheets, vertex_functions=means, **of_points)
         self.spacing = self.watch.spacing(x)
         self.watch.placed(self, x)
@@ -156,7 +157,7 @@ class Step:
     @cached_property
     def vertex_functions(self) -> sp.csr_matrix:
         """Linear functions of the fluid mesh's vertices at the points, made where something asks (collective)."""
-        return self.locator.vertex_functions(self.location)
+        return self.meeting.vertex_functions()
 
     # -- block iteration ----------------------------------------------------------------------------------------------
 
@@ -217,7 +218,7 @@ class Step:
         if fresh:
             consistent = self.options.fluid_tangent == "consistent" or self.accelerated
             tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
-            part = tangent(self.trace.B, self.W, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
+            part = tangent(*self.meeting.penalty, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
             self.fluid.assemble_tangent(self.trace, part)
         self.linear_iterations += self.fluid.solve(first=self.passes == 0)
 

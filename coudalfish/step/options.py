@@ -44,6 +44,8 @@ class CouplingOptions:
         relaxation: r >= 0 in the multiplier update; 0 suits transients, long runs need one, see docs/stability.md.
         relaxation_mode: "uniform" damps all of the multiplier by r, "smoothed" only its difference from its mean over
             the vertices of the fluid's mesh, which does not leak: r may be 0.1 to 1.
+        trace: what the shell's points see of the fluid's velocity: that at the "nodes" where they are, or the "exact"
+            average over their hat functions on a curve in the plane, which also gives them their areas.
         scale_m: factor of tau_M in the band around the surface, in (0, 1].
         scale_c: divisor of tau_C there, in (0, 1].
         fluid_tangent: penalty tangent of the fluid, "lumped" (its row sums) or "consistent".
@@ -67,6 +69,7 @@ class CouplingOptions:
     penalty: float | PenaltyRule = PenaltyRule(2.0, 0.5)
     relaxation: float = 0.0
     relaxation_mode: Literal["uniform", "smoothed"] = "uniform"
+    trace: Literal["nodes", "exact"] = "nodes"
     scale_m: float = 1e-3
     scale_c: float = 0.02
     fluid_tangent: Literal["lumped", "consistent"] = "lumped"
@@ -85,6 +88,7 @@ class CouplingOptions:
             checks.positive("penalty", self.penalty)
         checks.not_negative("relaxation", self.relaxation)
         checks.choice("relaxation_mode", self.relaxation_mode, ("uniform", "smoothed"))
+        checks.choice("trace", self.trace, ("nodes", "exact"))
         for name in ("scale_m", "scale_c"):
             checks.within(name, checks.positive(name, getattr(self, name)), 0.0, 1.0)
         checks.choice("fluid_tangent", self.fluid_tangent, ("lumped", "consistent"))

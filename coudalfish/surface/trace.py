@@ -77,7 +77,7 @@ class PointLocator:
         self._displaced: FloatArray | None = None
         self._tree: Any = None
         self.cells: IntArray | None = None
-        x = self._at_rest()
+        x = self._rest = self._at_rest()
         edges = _edges(x)
         cubes = np.abs(edges).max(axis=(1, 2), initial=0.0) ** domain.geometry.dim
         place = self._first(~(np.abs(np.linalg.det(edges)) > FLAT * cubes), x)
@@ -113,14 +113,28 @@ class PointLocator:
         self._origins, self._inverses = x[:, 0], np.linalg.inv(edges)
         self._displaced, self._tree = x, None
 
-    def _barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
+    def barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
+        """Barycentric coordinates of points in cells, of any sign.
+
+        Args:
+            cells: cells that this rank owns, shape (points,).
+            x: positions, shape (points, d); unit: length.
+
+        Returns:
+            Shape (points, d + 1).
+        """
         result = np.empty((len(cells), x.shape[1] + 1))
         np.einsum("nij,nj->ni", self._inverses[cells], x - self._origins[cells], out=result[:, 1:])
         np.subtract(1.0, result[:, 1:].sum(axis=1), out=result[:, 0])
         return result
 
+    @property
+    def corners(self) -> FloatArray:
+        """Vertices of the cells that this rank owns where they are, the same object until they move."""
+        return self._rest if self._displaced is None else self._displaced
+
     def _make_tree(self) -> Any:
-        size = np.abs(self._at_rest() if self._displaced is None else self._displaced).max()
+        size = np.abs(self.corners).max()
         return compat.bounding_box_tree(self._mesh, INSIDE * max(float(size), 1e-300), self._displaced)
 
     def _search(self, x: FloatArray) -> IntArray:
@@ -134,7 +148,7 @@ class PointLocator:
         padded[:, : x.shape[1]] = x
         cells, offsets = compat.candidate_cells(self._tree, padded)
         point = np.repeat(np.arange(len(x)), np.diff(offsets))
-        depth = self._barycentric(cells, x[point]).min(axis=1, initial=np.inf)
+        depth = self.barycentric(cells, x[point]).min(axis=1, initial=np.inf)
         inside = depth >= -INSIDE
         point, cells, depth = point[inside], cells[inside], depth[inside]
         order = np.lexsort((cells, -depth, point))
@@ -161,7 +175,7 @@ class PointLocator:
         cells = np.full(len(x), -1, dtype=np.int32)
         if self.cells is not None and len(self.cells) == len(x):
             known = np.flatnonzero(self.cells >= 0)
-            inside = self._barycentric(self.cells[known], x[known]).min(axis=1, initial=np.inf) >= -INSIDE
+            inside = self.barycentric(self.cells[known], x[known]).min(axis=1, initial=np.inf) >= -INSIDE
             cells[known[inside]] = self.cells[known[inside]]
         cells, active = self._claim(cells)
         missing = np.flatnonzero(~active)
@@ -170,7 +184,7 @@ class PointLocator:
         self.cells = cells
         barycentric = np.zeros((len(x), x.shape[1] + 1))
         mine = np.flatnonzero(cells >= 0)
-        barycentric[mine] = self._barycentric(cells[mine], x[mine])
+        barycentric[mine] = self.barycentric(cells[mine], x[mine])
         return Location(cells, barycentric, active)
 
     @cached_property

@@ -1,0 +1,131 @@
+"""Curves that see the fluid by averages: the exact trace.
+
+A point does not stand for the velocity where it is, but for the average over its hat function phi_q, which is linear
+between neighbouring points: ``u_q = (1/W_q) int phi_q u dA`` with ``W_q = int phi_q dA`` over the part in the fluid.
+The integrals are exact: they are taken over the pieces into which the fluid's cells divide the curve, on each of which
+the integrand is a polynomial. A curve that is moved a little feels a little change, whatever cells its points lie in.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from dolfinx import fem
+
+from coudalfish.surface.crossings import CellsNearby, Pieces, pieces_of
+from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.trace import Location, PointLocator, TraceMatrix, trace_matrix
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
+
+TOUCHING = 1e-10
+"""A point whose hat function has less than this share of its area in the fluid is outside."""
+
+
+@dataclass(frozen=True, eq=False)
+class ByAverages:
+    """A curve in a step whose points see averages, see :class:`coudalfish.surface.meeting.Meeting`.
+
+    Attributes:
+        trace: averages at the points of nodal velocities.
+        W: areas of the hat functions in the fluid, shape (points,).
+        location: quadrature points of the pieces.
+        penalty: nodal velocities at the quadrature points, and their areas, zero outside the fluid.
+        means: from values at quadrature points to averages, shape (points, quadrature points).
+        locator: of the fluid's mesh.
+    """
+
+    trace: TraceMatrix
+    W: FloatArray
+    location: Location
+    penalty: tuple[sp.csr_matrix, FloatArray]
+    means: sp.csr_matrix
+    locator: PointLocator
+
+    @property
+    def active(self) -> Any:
+        """Mask of the points whose hat functions are in the fluid, wholly or in part, shape (points,)."""
+        return self.W > 0.0
+
+    def vertex_functions(self) -> sp.csr_matrix:
+        """See :class:`coudalfish.surface.meeting.Meeting`."""
+        return (self.means @ self.locator.vertex_functions(self.location)).tocsr()
+
+
+class MeetsByAverages:
+    """The exact trace of a curve.
+
+    Args:
+        space: scalar space of one component of the fluid's velocity.
+        segments: pairs of neighbouring points, shape (segments, 2).
+        lengths: reference lengths between them, shape (segments,); unit: length.
+        points: number of points.
+    """
+
+    def __init__(self, space: fem.FunctionSpace, segments: IntArray, lengths: FloatArray, points: int) -> None:
+        self._space, self._segments, self._lengths, self._points = space, segments, lengths, points
+        self._whole = np.bincount(segments.ravel(), np.repeat(0.5 * lengths, 2), points)
+        order = (compat.lagrange_degree(space) + 3) // 2  # exact for a velocity times a hat function
+        at, weights = np.polynomial.legendre.leggauss(order)
+        self._at, self._weights = 0.5 * (at + 1.0), 0.5 * weights
+        self._nearby: tuple[Any, CellsNearby] | None = None
+
+    @classmethod
+    def of(cls, space: fem.FunctionSpace, sheets: Sheets, weights: FloatArray) -> "MeetsByAverages":
+        """Of the points of a shell.
+
+        Args:
+            space: scalar space of one component of the fluid's velocity.
+            sheets: how the points hang together.
+            weights: their reference areas, of which a sheet keeps the sum, shape (points,).
+
+        Raises:
+            ValueError: the shell is no curve.
+        """
+        if sheets.cells.shape[1] != 2:
+            raise ValueError(
+                "trace = 'exact': a curve in the plane is required, this surface has trace = 'nodes' alone"
+            )
+        a, b = sheets.cells.T
+        chords, sheet = np.linalg.norm(sheets.X[b] - sheets.X[a], axis=1), sheets.sheet
+        straight = np.bincount(sheet[a], chords)
+        return cls(space, sheets.cells, chords * (np.bincount(sheet, weights) / straight)[sheet[a]], len(sheets.X))
+
+    def __call__(self, x: FloatArray, locator: PointLocator) -> ByAverages:
+        """See :class:`coudalfish.surface.meeting.Meets`."""
+        a, b = x[self._segments.T]
+        pieces = pieces_of(a, b, locator, self._cells_of(locator), self._space.mesh.comm)
+        segment, at, reference = self._quadrature(pieces)
+        locator.cells = np.repeat(pieces.cells, len(self._at))
+        location = locator.locate(a[segment] + at[:, None] * (b - a)[segment])
+        weights = np.where(location.active, reference, 0.0)
+        fine = trace_matrix(self._space, location)
+        hats = self._hats(segment, at)
+        W = hats.T @ weights
+        W[TOUCHING * self._whole > W] = 0.0
+        inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
+        means = (sp.diags(inverse) @ hats.T @ sp.diags(weights)).tocsr()
+        return ByAverages(
+            TraceMatrix((means @ fine.B).tocsr(), fine.nodes), W, location, (fine.B, weights), means, locator
+        )
+
+    def _cells_of(self, locator: PointLocator) -> CellsNearby:
+        """Made once for a mesh, and again when it has moved."""
+        corners = locator.corners
+        if self._nearby is None or self._nearby[0] is not corners:
+            self._nearby = corners, CellsNearby(corners)
+        return self._nearby[1]
+
+    def _quadrature(self, pieces: Pieces) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Segments, parameters and reference areas of the points of all pieces."""
+        size = (pieces.end - pieces.start)[:, None]
+        at = (pieces.start[:, None] + size * self._at).ravel()
+        areas = (self._lengths[pieces.segment][:, None] * size * self._weights).ravel()
+        return np.repeat(pieces.segment, len(self._at)), at, areas
+
+    def _hats(self, segment: IntArray, at: FloatArray) -> sp.csr_matrix:
+        """Hat functions of the points, shape (quadrature points, points)."""
+        values, columns = np.column_stack([1.0 - at, at]), self._segments[segment]
+        starts = np.arange(0, 2 * len(at) + 1, 2)
+        return sp.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(at), self._points))
