@@ -211,8 +211,8 @@ class CouDALFISh(checks.Made):
             cautious: see :class:`coudalfish.step.attempt.Step`.
         """
         start = Start(self.lam, self.floors, self.penalty)
-        sides, tools = (self.fluid, self.shell), (self._meets, self.locator, self.watch)
-        return Step(*sides, self.options, start, *tools, cautious=cautious)
+        parts = self.fluid, self.shell, self.options, start
+        return Step(*parts, self._meets, self.locator, self.watch, cautious=cautious)
 
     def _attempt(self, restore: Callable[[], None]) -> Outcome:
         """Run the step, and once more with caution when it does not converge; the first failure gives the diagnosis."""

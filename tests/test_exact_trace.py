@@ -9,8 +9,12 @@ from scenes import sheet_in_flow
 from coudalfish import CouplingOptions
 from coudalfish.surface.averages import MeetsByAverages
 from coudalfish.surface.crossings import CellsNearby, pieces_of
+from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import PointLocator
 from tigar_x import compat
+from tigar_x.geometry.shapes import interpolated, uniform
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
 
 COMM = MPI.COMM_WORLD
 EXACT = CouplingOptions(trace="exact")
@@ -54,7 +58,10 @@ def test_polynomials_are_averaged_exactly(degree):
     space, met = meeting_of(BENT, degree)
     assert met.active.all()
     for i in range(degree + 1):
-        f = lambda x, i=i: x[0] ** i * (1.0 - 2.0 * x[1]) ** (degree - i)
+
+        def f(x, i=i):
+            return x[0] ** i * (1.0 - 2.0 * x[1]) ** (degree - i)
+
         np.testing.assert_allclose(met.W * averages(space, met, f), hat_integrals(BENT, f), atol=1e-14)
 
 
@@ -100,11 +107,14 @@ def test_forces_keep_their_sum_and_their_moment():
 @pytest.mark.mpi
 def test_all_partitions_see_the_same():
     together, alone = meeting_of(BENT, n=7), meeting_of(BENT, n=7, comm=MPI.COMM_SELF)
-    f = lambda x: np.sin(9.0 * x[0]) * np.cos(7.0 * x[1])
+
+    def f(x):
+        return np.sin(9.0 * x[0]) * np.cos(7.0 * x[1])
+
     np.testing.assert_allclose(together[1].W, alone[1].W, atol=1e-14)
     np.testing.assert_allclose(averages(*together, f), averages(*alone, f), atol=1e-13)
     N = [met.vertex_functions() for _, met in (together, alone)]
-    np.testing.assert_allclose([np.sort(part.toarray().max(axis=1)) for part in N][0], np.sort(N[1].toarray().max(1)))
+    np.testing.assert_allclose(next(np.sort(part.toarray().max(axis=1)) for part in N), np.sort(N[1].toarray().max(1)))
     np.testing.assert_allclose(N[0].sum(axis=1), 1.0, atol=1e-13)
 
 
@@ -119,7 +129,8 @@ def test_pieces_cover_segments_and_lie_in_cells_whatever_their_sizes():
     pieces = pieces_of(a, b, locator, nearby, COMM)
     for k in range(2):
         mine = pieces.segment == k
-        assert pieces.start[mine][0] == 0.0 and pieces.end[mine][-1] == 1.0
+        assert pieces.start[mine][0] == 0.0
+        assert pieces.end[mine][-1] == 1.0
         np.testing.assert_array_equal(pieces.start[mine][1:], pieces.end[mine][:-1])
     held = np.flatnonzero(pieces.cells >= 0)
     for t in (pieces.start, pieces.end):
@@ -132,9 +143,21 @@ def test_pieces_cover_segments_and_lie_in_cells_whatever_their_sizes():
     assert len(CellsNearby(PointLocator(cells).corners).pairs(a[:1], a[:1] + 1e-3)[0]) < 20
 
 
-def test_surfaces_in_space_are_refused():
-    from coudalfish.surface.sheets import Sheets
+def test_a_curved_shell_keeps_its_length():
+    """Chords between points are shorter than the arc."""
+    radius, bases = 0.3, (uniform(2, 8),)
+    patch = interpolated(lambda t: (0.5 + radius * np.cos(3.0 * t), 0.4 + radius * np.sin(3.0 * t)), bases)
+    spline = ExtractedSpline(patch, MPI.COMM_SELF)
+    sheets, weights = Sheets.of(spline), NodalQuadrature.of(spline).weights
+    domain = squares(comm=MPI.COMM_SELF)
+    meets = MeetsByAverages.of(compat.lagrange_space(domain, 1), sheets, weights)
+    met = meets(sheets.X, PointLocator(domain))
+    np.testing.assert_allclose(met.W.sum(), weights.sum(), rtol=1e-12)
+    a, b = sheets.cells.T
+    assert np.linalg.norm(sheets.X[a] - sheets.X[b], axis=1).sum() < (1.0 - 1e-4) * weights.sum()
 
+
+def test_surfaces_in_space_are_refused():
     four = np.zeros((1, 4), dtype=np.int32)
     surface = Sheets(four, np.empty((0, 2), dtype=np.int32), np.zeros((4, 3)), np.ones((4, 3)))
     with pytest.raises(ValueError, match="trace = 'exact': a curve in the plane is required"):

@@ -71,6 +71,11 @@ class Sheets:
         return self._parts(self.links)
 
     @cached_property
+    def places(self) -> IntArray:
+        """Number of the place of a point, which it shares with those that a joint unites, shape (points,)."""
+        return self._parts(self.joints)
+
+    @cached_property
     def sign(self) -> FloatArray:
         """1 or -1 at every point, times which the normals of a sheet agree across joints, shape (points,).
 
@@ -88,7 +93,7 @@ class Sheets:
 
     def _turns(self, patch: IntArray) -> sp.csr_matrix:
         """Positive for pairs of patches whose normals agree at their joints, negative for those that do not."""
-        place = self._parts(self.joints)
+        place = self.places
         if self.cells.shape[1] == 2:  # a joint is a point, the end of one cell and the start of the other
             ends = self.cells.ravel()
             keys, way = place[ends][:, None], np.tile([-1.0, 1.0], len(self.cells))
