@@ -174,3 +174,13 @@ def test_small_gaps_between_free_ends_are_closed_and_wide_ones_open(gap, closed)
     assert np.array_equal(parts.kink, whole.kink) == closed
     assert np.array_equal(parts.jump, whole.jump) == closed
     assert not (parts.kink & ~whole.kink).any()
+
+
+@pytest.mark.parametrize("distance", [0.2, 0.27, 0.35])
+def test_nothing_is_cut_half_way_between_two_curves(distance):
+    """Between curves whose normals agree the sign of the nearest one changes."""
+    low, high = (polyline([[-0.1, y], [1.1, y]]) for y in (0.33, 0.33 + distance))
+    e = enriching(10)
+    found = e(several(low, high))
+    cells = np.sort(np.concatenate([e(curve).cut.cells for curve in (low, high)]))
+    np.testing.assert_array_equal(found.cut.cells, cells)

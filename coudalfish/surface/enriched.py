@@ -23,6 +23,9 @@ SLIVER = 1e-6
 """Share of a cell below which its velocity is not kinked: it bends as good as nowhere."""
 COVERED = 0.5
 """Share of the zero line in a node's cells that the curve has to cover."""
+OFF_LINE = 1.0 / 3.0
+"""Distance of the zero line from the curve, relative to that of the cell's farthest node, beyond which it is another
+line: half way between two curves the sign changes as well. They are told apart when they are two cells apart."""
 SAMPLES = 16
 """Places at which a piece of the zero line near a free end is asked whether the curve covers it."""
 REACH = 4.0
@@ -79,7 +82,7 @@ class Enriching:
     def __call__(self, curves: Curves) -> Enrichment:
         """By curves where they are (collective)."""
         phi = curves.signed_distance(self.x, REACH * self._largest)
-        cut = CutCells.of(self.vertices, phi)
+        cut = self._real(CutCells.of(self.vertices, phi), curves)
         mine = cut.only(cut.cells < self._owned)
         negative = self.vertices[mine.cells]
         other = np.where(phi[negative] < 0.0, 1.0 - mine.negative_share[:, None], mine.negative_share[:, None])
@@ -93,6 +96,12 @@ class Enriching:
             kink = (self._total(mine.cells, bent.astype(np.float64)) > 0.0) & covered
         concerned = (jump | kink)[self.vertices[cut.cells]].any(axis=1)
         return Enrichment(phi, cut.only(concerned), jump, kink)
+
+    def _real(self, cut: CutCells, curves: Curves) -> CutCells:
+        """Those that a curve or its continuation cuts, not the middle line between two curves."""
+        middle = cut.line(self.corners).mean(axis=1)
+        off = np.abs(curves.signed_distance(middle, REACH * self._largest))
+        return cut.only(off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0))
 
     def _covered(self, cut: CutCells, curves: Curves) -> Any:
         """Mask of the nodes in whose cells the curve covers enough of the zero line (collective)."""
