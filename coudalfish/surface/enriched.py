@@ -23,6 +23,8 @@ SLIVER = 1e-6
 """Share of a cell below which its velocity is not kinked: it bends as good as nowhere."""
 COVERED = 0.5
 """Share of the zero line in a node's cells that the curve has to cover."""
+ROUNDED = 1e-9
+"""Part of that share that sums in another order may lack."""
 OFF_LINE = 1.0 / 3.0
 """Distance of the zero line from the curve, relative to that of the cell's farthest node, beyond which it is another
 line: half way between two curves the sign changes as well. They are told apart when they are two cells apart."""
@@ -114,4 +116,5 @@ class Enriching:
         covered = curves.covers(x.reshape(-1, x.shape[2]), REACH * self._largest)
         share[near] = covered.reshape(-1, SAMPLES).mean(axis=1)
         whole = self._total(cut.cells, np.repeat(lengths[:, None], 3, axis=1))
-        return self._total(cut.cells, np.repeat((lengths * share)[:, None], 3, axis=1)) >= COVERED * whole
+        found = self._total(cut.cells, np.repeat((lengths * share)[:, None], 3, axis=1))
+        return found >= COVERED * (1.0 - ROUNDED) * whole
