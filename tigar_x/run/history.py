@@ -22,7 +22,7 @@ from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.ranks import first, on_root
 from tigar_x.run.course import Course
-from tigar_x.run.output import CSVSeries, Series, check_writable, is_later
+from tigar_x.run.output import ClosesFiles, CSVSeries, check_writable, is_later
 
 FILE = "history.csv"
 """Name of the file of a run's history."""
@@ -162,7 +162,7 @@ def of_report(column: Column) -> Callable[[Any], Any]:
     return column if takes else lambda _: column()
 
 
-class Recorder(Series):
+class Recorder(ClosesFiles):
     """Measures columns step by step, keeps them, and writes them as CSV (collective).
 
     All ranks keep what rank 0 has measured.

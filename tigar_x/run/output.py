@@ -5,6 +5,7 @@ what goes wrong there: making, writing and closing are collective on ``MPI.COMM_
 """
 
 import csv
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -39,21 +40,8 @@ def check_writable(*paths: Path) -> None:
             path.unlink()
 
 
-class Series:
-    """What every series is besides: a context manager that finishes or abandons its files."""
-
-    def write(self, t: float) -> None:
-        """Write the present state at time ``t`` (collective)."""
-        raise NotImplementedError
-
-    def once(self, t: float = 0.0) -> None:
-        """Write one state and finish the files (collective).
-
-        Args:
-            t: its time.
-        """
-        with self:
-            self.write(t)
+class ClosesFiles:
+    """A context manager that finishes its files, or abandons them after an error."""
 
     def close(self) -> None:
         """Finish the files (collective)."""
@@ -70,6 +58,23 @@ class Series:
         else:
             with suppress(Exception):
                 self._abandon()
+
+
+class Series(ClosesFiles, ABC):
+    """What is written at one time after the other."""
+
+    @abstractmethod
+    def write(self, t: float) -> None:
+        """Write the present state at time ``t`` (collective)."""
+
+    def once(self, t: float = 0.0) -> None:
+        """Write one state and finish the files (collective).
+
+        Args:
+            t: its time.
+        """
+        with self:
+            self.write(t)
 
 
 class XDMFSeries(Series):
