@@ -124,7 +124,7 @@ def main(results: Results, valve: Valve, until: float = 3.0) -> dict[str, Any]:
         ("bottom_x", "bottom_y", "top_x", "top_y"): lambda: [shell.at("tip", patch=k).displacement[:2] for k in (0, 1)],
         "inflow": lambda report: float(inflow((0.0, HEIGHT / 2.0), report.t, dt)[0]) * 2.0 * HEIGHT / 3.0,
         **{"leak": "monitors.leak", "normal_slip": "monitors.normal_slip_max", "fluid": fluid},
-        ("kinetic_shell", "elastic"): lambda: [getattr(shell.energies(), name) for name in ("kinetic", "elastic")],
+        ("kinetic_shell", "elastic"): lambda: [(stored := shell.energies()).kinetic, stored.elastic],
     }
     run = results.run(fsi, until=until, frames=60, series=files, history=history).through()
     past, found = run.history, {}
