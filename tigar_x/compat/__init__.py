@@ -50,6 +50,7 @@ from tigar_x.compat.meshes import (
     owned_cells,
     shortest_edges,
 )
+from tigar_x.compat.points import PointField, PointValues
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import (
     Interpolation,
@@ -79,6 +80,8 @@ __all__ = [
     "compile_cpu_seconds",
     "compile_forms",
     "compile_seconds",
+    "PointField",
+    "PointValues",
     "Interpolation",
     "interpolate",
     "cell_dofs",

@@ -127,6 +127,9 @@ class Flow(checks.Made):
         self.scales = surface_scales(mesh.domain) if checks.flag("immersed", immersed) else None
         self._interior = Interior(state, self.options, force, *((None, None) if self.scales is None else self.scales))
         self.terms: list[Term] = [(("fluid",), self._interior.residual(self.v))]
+        follow = getattr(state.time, "follow", None)
+        if follow is not None:  # dynamic sub-scales
+            follow(self._interior.fine_velocity, state.fluid_cell_numbers)
         if self._solid is not None:
             self.terms.append((("solid",), self._solid.residual))
         boundary, self._outlets = boundary_terms(self.conditions, state)

@@ -35,8 +35,7 @@ def set_state(state: FlowState, velocity: Data, pressure: Any, *, projected: boo
     else:
         compat.interpolate(state.w, values)
     if state.time is not None:
-        state.time.x_old.x.array[:] = state.w.x.array
-        state.time.xdot_old.x.array[:] = 0.0
+        state.time.forget()
 
 
 def consistent_start(

@@ -4,11 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
 from tigar_x import compat
+from tigar_x.compat import IntArray
 from tigar_x.fem.linear import LinearSolver
 from tigar_x.fem.low_rank import RankOne
 from tigar_x.fem.schemes import Scheme
@@ -18,6 +20,7 @@ from varmint.flow.options import FlowOptions
 from varmint.forms.motion import ElasticMotion, PrescribedMotion
 from varmint.forms.solids import Solid
 from varmint.forms.space import equal_order_space, split
+from varmint.forms.vms import Memory
 from varmint.mesh.named import NamedMesh
 
 
@@ -55,9 +58,16 @@ class FlowTime(TimeIntegrator):
 
     Attributes:
         needs: see there.
+        memory: of dynamic sub-scales; None: they are quasi-static.
     """
 
     needs: FlowNeeds
+    memory: Memory | None = None
+
+    def forget(self) -> None:
+        """Take the present x as the state that the first step starts from, at rest before."""
+        self.x_old.x.array[:] = self.x.x.array
+        self.xdot_old.x.array[:] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +106,13 @@ class FlowState:
         return self.fields.mesh
 
     @property
+    def fluid_cell_numbers(self) -> IntArray:
+        """Local numbers of the fluid's cells, ghosts as well."""
+        if self.fluid_cells:
+            return self.mesh.cells(*self.fluid_cells)
+        return np.arange(len(compat.cell_nodes(self.mesh.domain)), dtype=np.int32)
+
+    @property
     def dx(self) -> ufl.Measure:
         """Measure of the fluid."""
         return self.mesh.dx(*self.fluid_cells, degree=self.fields.degree)
@@ -121,14 +138,14 @@ class FlowState:
         )
         V = equal_order_space(domain, degree)
         w = fem.Function(V, name="w")
-        time = None if dt is None else FlowTime(w, dt, scheme, algebraic=(domain.geometry.dim,))
+        motion = None if moving is None else moving.motion
+        extra = 0 if motion is None else 2 * (motion.degree - 1)
+        quadrature = 2 * degree + extra if options.quadrature_degree is None else options.quadrature_degree
+        time = None if dt is None else _integrator(w, dt, scheme, options, quadrature)
         if time is None:
             level, rate, t = w, None, compat.Constant(domain, 0.0)
         else:
             level, rate, t = time.x_alpha, split(time.xdot_alpha)[0], time.t
-        motion = None if moving is None else moving.motion
-        extra = 0 if motion is None else 2 * (motion.degree - 1)
-        quadrature = 2 * degree + extra if options.quadrature_degree is None else options.quadrature_degree
         t_alpha, end = t if time is None else time.t_alpha, None if moving is None else moving.end
         fields = FlowFields(
             mesh, *split(level), *split(ufl.TestFunction(V)), density, viscosity, t, t_alpha, motion, end,
@@ -136,3 +153,11 @@ class FlowState:
         )  # fmt: skip
         fluid = () if solid is None else tuple(name for name in mesh.cell_names if name not in solid.groups)
         return cls(degree, V, w, time, rate, fields, moving, fluid)
+
+
+def _integrator(w: fem.Function, dt: float, scheme: Scheme, options: FlowOptions, quadrature: int) -> FlowTime:
+    if options.subscales == "quasi-static":
+        return FlowTime(w, dt, scheme, algebraic=(w.ufl_shape[0] - 1,))
+    from varmint.flow.subscales import DynamicTime  # others need nothing of it
+
+    return DynamicTime(w, dt, scheme, quadrature)

@@ -14,7 +14,7 @@ from varmint.conditions import Condition, Resistance
 from varmint.flow.attachments import OutletPressure
 from varmint.flow.options import FlowOptions
 from varmint.flow.state import FlowState
-from varmint.forms.vms import frozen_tangent, interior_residual
+from varmint.forms.vms import fine_scales, frozen_tangent, interior_residual
 
 Term = tuple[tuple[str, ...], ufl.Form]
 """Part of a residual, with the facet groups of its condition, "fluid" or "solid"."""
@@ -44,14 +44,24 @@ class Interior:
         Args:
             v_tau: velocity in the stabilisation parameters.
         """
+        f, dx = self.state.fields, self.state.dx
+        return interior_residual(f.v, f.p, f.w, f.q, self.state.mesh.domain, **self._data(v_tau), dx=dx)
+
+    @property
+    def fine_velocity(self) -> Any:
+        """Velocity of the sub-scales times rho, UFL."""
+        f = self.state.fields
+        return fine_scales(f.v, f.p, self.state.mesh.domain, **self._data(f.v))[0]
+
+    def _data(self, v_tau: Any) -> dict[str, Any]:
         s, f, o = self.state, self.state.fields, self.options
         dt: Any = None
         if s.time is not None:
             dt = s.time.dt if o.tau_dt is None else compat.Constant(s.mesh.domain, float(o.tau_dt))
-        return interior_residual(
-            f.v, f.p, f.w, f.q, s.mesh.domain, rho=f.rho, mu=f.mu, degree=s.degree, v_t=s.rate, f=self.f, dt=dt,
-            C_I=o.C_I, C_t=o.C_t, scale_m=self.scale_m, scale_c=self.scale_c, motion=f.motion,
-            invariant=o.invariant_metric, v_tau=v_tau, dx=s.dx,
+        return dict(
+            rho=f.rho, mu=f.mu, degree=s.degree, v_t=s.rate, f=self.f, dt=dt, C_I=o.C_I, C_t=o.C_t,
+            scale_m=self.scale_m, scale_c=self.scale_c, motion=f.motion, invariant=o.invariant_metric, v_tau=v_tau,
+            memory=None if s.time is None else s.time.memory,
         )  # fmt: skip
 
     def frozen_tangent(self) -> ufl.Form:

@@ -5,6 +5,7 @@ scene does not need (body force, unsteadiness, motion of the mesh, a surface ban
 simplices) is not in the form.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import ufl
@@ -103,6 +104,19 @@ def element_metric(domain: Any, motion: Motion | None = None, *, invariant: bool
     return K.T * E * K
 
 
+@dataclass(frozen=True)
+class Memory:
+    """What dynamic sub-scales remember: at the level of the equations their rate is ``rate v' - past``.
+
+    Attributes:
+        rate: derivative of the rate by v' there; unit: 1/time.
+        past: what is known of the rate from the steps before, shape (d,); unit: force/volume.
+    """
+
+    rate: Any
+    past: Any
+
+
 def stabilization_parameters(
     v: Any,
     G: Any,
@@ -149,6 +163,74 @@ def is_linear_simplex(domain: Any, degree: int) -> bool:
     return degree == 1 and compat.is_simplex(domain)
 
 
+def fine_scales(
+    v: Any,
+    p: Any,
+    domain: Any,
+    *,
+    rho: Any,
+    mu: Any,
+    degree: int = 1,
+    v_t: Any = None,
+    f: Any = None,
+    dt: Any = None,
+    C_I: Any = None,
+    C_t: Any = 4.0,
+    scale_m: Any = None,
+    scale_c: Any = None,
+    motion: Motion | None = None,
+    invariant: bool = False,
+    v_tau: Any = None,
+    memory: Memory | None = None,
+) -> tuple[Any, Any]:
+    """What the mesh does not resolve, modelled by the strong residuals.
+
+    Quasi-static sub-scales are ``v' = -tau_M r_M``, ``p' = -tau_C rho div v``. Dynamic ones keep their rate,
+    ``dv'/dt + v'/tau_M = -r_M``, and no time step is in tau_M and tau_C: steady flows do not know it (Codina,
+    Principe, Guasch and Badia, doi:10.1016/j.cma.2007.01.002).
+
+    Args:
+        v: see :func:`interior_residual`, as all others but the memory.
+        p: see there.
+        domain: see there.
+        rho: see there.
+        mu: see there.
+        degree: see there.
+        v_t: see there.
+        f: see there.
+        dt: see there.
+        C_I: see there.
+        C_t: see there.
+        scale_m: see there.
+        scale_c: see there.
+        motion: see there.
+        invariant: see there.
+        v_tau: see there.
+        memory: of dynamic sub-scales, which have no use for dt and C_t; None: they are quasi-static.
+
+    Returns:
+        rho times the velocity v', shape (d,), and the pressure p'.
+    """
+    curved = motion is not None and motion.degree > 1
+    simple = is_linear_simplex(domain, degree) and not curved
+    r_M = momentum_residual(v, p, rho=rho, mu=mu, linear_simplex=simple, v_t=v_t, f=f, motion=motion)
+    constant = default_C_I(degree) if C_I is None else C_I
+    tau_M, tau_C = stabilization_parameters(
+        advection(v if v_tau is None else v_tau, motion),
+        element_metric(domain, motion, invariant=invariant),
+        nu=mu / rho,
+        dt=dt if memory is None else None,
+        C_I=constant,
+        C_t=C_t,
+        scale_m=scale_m,
+        scale_c=scale_c,
+    )
+    p_fine = -tau_C * rho * divergence(v, motion)
+    if memory is None:
+        return -tau_M * r_M, p_fine
+    return (memory.past - r_M) * (tau_M / (1 + memory.rate * tau_M)), p_fine
+
+
 def interior_residual(
     v: Any,
     p: Any,
@@ -169,6 +251,7 @@ def interior_residual(
     motion: Motion | None = None,
     invariant: bool = False,
     v_tau: Any = None,
+    memory: Memory | None = None,
     quadrature_degree: int | None = None,
     dx: ufl.Measure | None = None,
 ) -> ufl.Form:
@@ -193,6 +276,7 @@ def interior_residual(
         motion: motion of the mesh at the intermediate level; None: it is fixed.
         invariant: see :func:`element_metric`.
         v_tau: velocity in tau_M and tau_C; None: v. See :func:`frozen_tangent`.
+        memory: of dynamic sub-scales, see :func:`fine_scales`; None: they are quasi-static.
         quadrature_degree: None: 2 k, and 2 more for every degree of a mesh's displacement above 1.
         dx: cells to integrate over, with their quadrature; None: all.
 
@@ -209,28 +293,16 @@ def interior_residual(
     if f is not None:
         f = checks.vector("f", f, *v.ufl_shape)
 
-    curved = motion is not None and motion.degree > 1
     if dx is None:
         extra = 2 * (motion.degree - 1) if motion is not None else 0
         degree_q = 2 * k + extra if quadrature_degree is None else quadrature_degree
         dx = ufl.dx(domain=domain, metadata={"quadrature_degree": degree_q})
     checks.measure("dx", dx, domain, "cell")
-    simple = is_linear_simplex(domain, k) and not curved
+    v_fine, p_fine = fine_scales(
+        v, p, domain, rho=rho, mu=mu, degree=k, v_t=v_t, f=f, dt=dt, C_I=C_I, C_t=C_t, scale_m=scale_m,
+        scale_c=scale_c, motion=motion, invariant=invariant, v_tau=v_tau, memory=memory,
+    )  # fmt: skip
     D = material_acceleration(v, v_t=v_t, f=f, motion=motion)
-    r_M = momentum_residual(v, p, rho=rho, mu=mu, linear_simplex=simple, v_t=v_t, f=f, motion=motion)
-    constant = default_C_I(k) if C_I is None else C_I
-    tau_M, tau_C = stabilization_parameters(
-        advection(v if v_tau is None else v_tau, motion),
-        element_metric(domain, motion, invariant=invariant),
-        nu=mu / rho,
-        dt=dt,
-        C_I=constant,
-        C_t=C_t,
-        scale_m=scale_m,
-        scale_c=scale_c,
-    )
-    v_fine = -tau_M * r_M
-    p_fine = -tau_C * rho * divergence(v, motion)
     grad_v, grad_w, div_w = gradient(v, motion), gradient(w, motion), divergence(w, motion)
     galerkin = rho * ufl.inner(D, w) + ufl.inner(stress(v, p, mu, motion), grad_w) + q * divergence(v, motion)
     upwind = ufl.inner(grad_w * advection(v, motion) + gradient(q, motion) / rho, v_fine)
