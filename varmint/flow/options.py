@@ -40,9 +40,9 @@ class FlowOptions:
     Attributes:
         C_I: constant of the viscous term in tau_M; None: 3 for degree 1, else 6 k^4.
         C_t: constant of the time-step term in tau_M and tau_C of quasi-static sub-scales.
-        subscales: "quasi-static" sub-scales have the time step in tau_M and tau_C, "dynamic" ones are remembered from
-            step to step instead: errors of unsteady flows do not grow where steps are small, and steady flows do not
-            depend on them. Steady flows alone are the same with both.
+        subscales: "quasi-static" ones have the time step in tau_M and tau_C; "dynamic" ones are remembered from step
+            to step instead, so that errors do not grow where steps are small and steady flows do not know the step,
+            and have no cross and Reynolds stress, see docs/flow.md.
         tau_dt: time step in tau_M, where it is not to change with the step; None: that of the step. Unit: time.
         invariant_metric: whether the element metric does not depend on the numbering of vertices.
         frozen_tangent: whether the tangent leaves out the derivatives of the stabilisation parameters.
@@ -88,7 +88,9 @@ class FlowOptions:
         checks.not_negative("C_t", self.C_t)
         checks.choice("subscales", self.subscales, ("quasi-static", "dynamic"))
         if self.subscales == "dynamic" and self.tau_dt is not None:
-            raise ValueError(f"tau_dt = {self.tau_dt!r}: dynamic sub-scales have no time step in tau_M, None is required")
+            raise ValueError(
+                f"tau_dt = {self.tau_dt!r}: dynamic sub-scales have no time step in tau_M, None is required"
+            )
         for name in ("invariant_metric", "frozen_tangent"):
             checks.flag(name, getattr(self, name))
         checks.choice("pressure", self.pressure, ("automatic", "null space", "pin"))

@@ -6,7 +6,6 @@ at every point of the quadrature; here by the time integration of the flow itsel
 
 from typing import Any
 
-import numpy as np
 from dolfinx import fem
 
 from tigar_x import compat

@@ -44,8 +44,8 @@ class Interior:
         Args:
             v_tau: velocity in the stabilisation parameters.
         """
-        f, dx = self.state.fields, self.state.dx
-        return interior_residual(f.v, f.p, f.w, f.q, self.state.mesh.domain, **self._data(v_tau), dx=dx)
+        f, dx, quasi = self.state.fields, self.state.dx, self.options.subscales == "quasi-static"
+        return interior_residual(f.v, f.p, f.w, f.q, self.state.mesh.domain, **self._data(v_tau), stresses=quasi, dx=dx)
 
     @property
     def fine_velocity(self) -> Any:
