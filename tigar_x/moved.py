@@ -69,7 +69,7 @@ _NAMES = {
     ("tigar_x.time_integration", "tigar_x.fem.schemes"): "Scheme backward_euler companion generalized_alpha",
     ("tigar_x.writing", "tigar_x.ranks"): "P PATIENCE all_come gathered on_root portable root_only together tried",
     ("varmint.attachments", "varmint.flow.pressure"): "NEAR pressure_pin",
-    ("varmint.attachments", "varmint.flow.state"): "FlowTime Needs=FlowNeeds",
+    ("varmint.attachments", "varmint.flow.clock"): "FlowTime Needs=FlowNeeds",
     ("varmint.conditions", "tigar_x.compat"): "given",
     ("varmint.conditions", "varmint.conditions"): "Fields=FlowFields",
     ("varmint.mesh_checks", "varmint.mesh.checks"): "extruded=extruded_arrays",

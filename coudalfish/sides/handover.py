@@ -24,7 +24,7 @@ from tigar_x.fem.time_integration import TimeIntegrator
 
 
 class Needs(Protocol):
-    """What a flow needs of whoever steps it, such as ``varmint.flow.state.FlowNeeds``."""
+    """What a flow needs of whoever steps it, such as ``varmint.flow.clock.FlowNeeds``."""
 
     @property
     def updates(self) -> Sequence[Callable[[float], None]]:

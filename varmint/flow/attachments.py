@@ -1,6 +1,6 @@
 """What a flow keeps beside its residual: solids in it, pressures of outlets.
 
-Whoever steps the flow in its place has to take this over; :class:`varmint.flow.state.FlowNeeds` has it at hand.
+Whoever steps the flow in its place has to take this over; :class:`varmint.flow.clock.FlowNeeds` has it at hand.
 """
 
 from typing import Any

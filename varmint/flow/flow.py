@@ -19,6 +19,7 @@ from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
 from varmint.conditions import Condition, Data
 from varmint.flow.attachments import OutletPressure, SolidInFlow
 from varmint.flow.checks import check_clock, check_cover, check_kinds, check_numbers
+from varmint.flow.clock import FlowNeeds, FlowTime
 from varmint.flow.options import (
     STALLED,
     STEADY_LINEAR_RTOL,
@@ -31,7 +32,7 @@ from varmint.flow.options import (
 )
 from varmint.flow.pressure import by_null_space, pressure_pin
 from varmint.flow.start import consistent_start, set_state
-from varmint.flow.state import FlowNeeds, FlowState, FlowTime
+from varmint.flow.state import FlowState
 from varmint.flow.steady import solve_steady
 from varmint.flow.step import flow_step
 from varmint.flow.terms import Interior, Term, boundary_terms, strong_values, surface_scales

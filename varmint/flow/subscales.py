@@ -11,7 +11,7 @@ from dolfinx import fem
 from tigar_x import compat
 from tigar_x.compat import IntArray
 from tigar_x.fem.schemes import Scheme
-from varmint.flow.state import FlowTime
+from varmint.flow.clock import FlowTime
 from varmint.forms.vms import Memory
 
 
@@ -53,7 +53,7 @@ class DynamicTime(FlowTime):
             cells: local numbers of the fluid's cells.
         """
         self._velocity, self._cells = velocity, cells
-        self._values: compat.PointValues | None = None
+        self._values: compat.AtPoints | None = None
 
     @property
     def _factor(self) -> float:
@@ -70,7 +70,7 @@ class DynamicTime(FlowTime):
     def advance(self) -> None:
         """Accept the state and the sub-scales that belong to it, and move the clock."""
         if self._values is None:
-            self._values = compat.PointValues(self._velocity, self._past.points, self.x.function_space.mesh)
+            self._values = compat.AtPoints(self._velocity, self._past.points, self.x.function_space.mesh)
         s, rows = self.scheme, self._rows[self._cells]
         level = self._values(self._cells)
         fine, rate = (f.x.array.reshape(-1, self._width) for f in (self.fine, self.fine_rate))

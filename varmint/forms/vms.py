@@ -278,8 +278,7 @@ def interior_residual(
         invariant: see :func:`element_metric`.
         v_tau: velocity in tau_M and tau_C; None: v. See :func:`frozen_tangent`.
         memory: of dynamic sub-scales, see :func:`fine_scales`; None: they are quasi-static.
-        stresses: whether the cross stress and the Reynolds stress are there. With dynamic sub-scales they change errors
-            by a few percent where the mesh resolves the flow, and make it diverge where it does not.
+        stresses: whether cross and Reynolds stress are there; with a memory they make unresolved flow diverge.
         quadrature_degree: None: 2 k, and 2 more for every degree of a mesh's displacement above 1.
         dx: cells to integrate over, with their quadrature; None: all.
 
