@@ -209,7 +209,7 @@ def test_values_at_points():
     mesh = box(MPI.COMM_SELF, (0, 0), (2, 1), (3, 2))
     field = compat.PointField(mesh.domain, 2, 2)
     x = ufl.SpatialCoordinate(mesh.domain)
-    values = compat.AtPoints(ufl.as_vector([x[0], 2 * x[1]]), field.points, mesh.domain)
+    values = compat.VectorAtPoints(ufl.as_vector([x[0], 2 * x[1]]), field.points, mesh.domain)
     field.assign(values(np.arange(12, dtype=np.int32)))
     dx = mesh.dx(degree=2)
     found = [compat.assemble_scalar(f) for f in compat.compile_forms(*(x[0] * field.function[i] * dx for i in (0, 1)))]

@@ -50,7 +50,7 @@ from tigar_x.compat.meshes import (
     owned_cells,
     shortest_edges,
 )
-from tigar_x.compat.points import AtPoints, PointField
+from tigar_x.compat.points import PointField, VectorAtPoints
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import (
     Interpolation,
@@ -81,7 +81,7 @@ __all__ = [
     "compile_forms",
     "compile_seconds",
     "PointField",
-    "AtPoints",
+    "VectorAtPoints",
     "Interpolation",
     "interpolate",
     "cell_dofs",

@@ -60,7 +60,7 @@ class PointField:
         self.function.x.array.reshape(-1, self._size)[self._dofs] = values.reshape(*self._dofs.shape, self._size)
 
 
-class AtPoints:
+class VectorAtPoints:
     """A UFL vector at the points of cells, compiled once and evaluated as often as what is in it has changed.
 
     Args:

@@ -53,7 +53,7 @@ class DynamicTime(FlowTime):
             cells: local numbers of the fluid's cells.
         """
         self._velocity, self._cells = velocity, cells
-        self._values: compat.AtPoints | None = None
+        self._values: compat.VectorAtPoints | None = None
 
     @property
     def _factor(self) -> float:
@@ -70,7 +70,7 @@ class DynamicTime(FlowTime):
     def advance(self) -> None:
         """Accept the state and the sub-scales that belong to it, and move the clock."""
         if self._values is None:
-            self._values = compat.AtPoints(self._velocity, self._past.points, self.x.function_space.mesh)
+            self._values = compat.VectorAtPoints(self._velocity, self._past.points, self.x.function_space.mesh)
         s, rows = self.scheme, self._rows[self._cells]
         level = self._values(self._cells)
         fine, rate = (f.x.array.reshape(-1, self._width) for f in (self.fine, self.fine_rate))
