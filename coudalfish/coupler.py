@@ -6,7 +6,7 @@ fluid and shell (Kamensky, doi:10.1016/j.camwa.2020.01.023).
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -17,10 +17,13 @@ from coudalfish.sides.mesh_motion import check_levels
 from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides, undone
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Outcome, Start, Step
+from coudalfish.step.attempts import attempts
 from coudalfish.step.levels import check_schemes
+from coudalfish.step.method import Attempt
 from coudalfish.step.options import CouplingOptions, PenaltyRule
-from coudalfish.step.report import RejectedStepError, StepReport
+from coudalfish.step.report import RejectedStepError, StepError, StepReport
 from coudalfish.step.watch import Watch
+from coudalfish.surface.exchange import tractions
 from coudalfish.surface.meeting import meets
 from coudalfish.surface.trace import PointLocator
 from tigar_x import checks, ranks
@@ -45,7 +48,8 @@ class CouDALFISh(checks.Made):
         shell: the immersed structure, such as shnapr's ``Shell``, which gets the flow's time step and the companion of
             its scheme; or a :class:`ShellSubproblem`.
         options: how they are coupled.
-        multiplier: initial multiplier, a number or shape (points,); unit: force/area.
+        multiplier: initial multiplier along the normals, a number or shape (points,), or where it is a vector also
+            shape (points, d); unit: force/area.
 
     Attributes:
         fluid: side of the fluid.
@@ -58,7 +62,8 @@ class CouDALFISh(checks.Made):
         locator: finds the immersed points in the fluid mesh.
         floors: residuals (fluid, shell) below which the last step had nothing left to solve for; unit: force.
         watch: what is out of its limits.
-        lam: multiplier at the immersed points, force of the fluid on the shell along its normal, shape (points,).
+        lam: multiplier at the immersed points, force of the fluid on the shell along its normal, shape (points,), or
+            as a vector, shape (points, d), by the options.
 
     Raises:
         ValueError: the subproblems do not fit each other or the options.
@@ -93,15 +98,13 @@ class CouDALFISh(checks.Made):
         self.timeInt_sh = self.shell.timeInt
         self.contactContext_sh = self.shell.contact
         self._check()
-        points = len(self.shell.quadrature.points)
-        one = np.ndim(multiplier) == 0
-        given = np.full(points, checks.finite("multiplier", multiplier)) if one else multiplier
-        self.lam = checks.array("multiplier", given, (points,)).copy()
+        self.lam = self._initial(multiplier)
         self.locator = PointLocator(self.mesh_f)
         of_points = self.shell.sheets, self.shell.quadrature.weights
         self._meets = meets(self.options.trace, self.fluid.velocity_space, *of_points)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(self.fluid, self.shell)
+        self._attempts = self.options, attempts(self.options, self.fluid, self.shell)
         self.timeInt_sh.partner = self.timeInt_f
         for integrator in self.integrators:
             if integrator is not self.timeInt_sh:
@@ -111,6 +114,14 @@ class CouDALFISh(checks.Made):
     def __repr__(self) -> str:
         time = self.timeInt_f
         return f"CouDALFISh({self.fluid!r}, {self.shell!r}, t = {time.time:g}, dt = {time.step_size:g})"
+
+    def _initial(self, multiplier: float | FloatArray) -> FloatArray:
+        points, d = self.shell.quadrature.points.shape
+        one, vector = np.ndim(multiplier) == 0, self.options.multiplier_direction == "vector"
+        given = np.full(points, checks.finite("multiplier", multiplier)) if one else multiplier
+        if vector and np.ndim(given) == 1:
+            given = tractions(checks.array("multiplier", given, (points,)), self.shell.normals())
+        return checks.array("multiplier", given, (points, d) if vector else (points,)).copy()
 
     def _check(self) -> None:
         self._check_clocks()
@@ -150,7 +161,10 @@ class CouDALFISh(checks.Made):
     @property
     def penalty(self) -> float:
         """The penalty beta of the step in progress; unit: force time/length^3."""
-        rule = self.options.penalty
+        return self._penalty(self.options)
+
+    def _penalty(self, options: CouplingOptions) -> float:
+        rule = options.penalty
         if not isinstance(rule, PenaltyRule):
             return float(rule)
         mu, rho = self.fluid.viscosity or 0.0, self.fluid.density or 0.0
@@ -204,29 +218,52 @@ class CouDALFISh(checks.Made):
         shell = (function.x.array for function in self.timeInt_sh.state.values())
         ranks.share(self.fluid.comm, *shell, self.lam)
 
-    def step(self, *, cautious: bool = False) -> Step:
+    @property
+    def attempts(self) -> Sequence[Attempt]:
+        """The ways to take a step by the present options, each for where those before fail."""
+        if self._attempts[0] is not self.options:
+            self._attempts = self.options, attempts(self.options, self.fluid, self.shell)
+        return self._attempts[1]
+
+    def step(self, attempt: Attempt | None = None, *, cautious: bool = False) -> Step:
         """An attempt at the next step, which has not begun.
 
         Args:
+            attempt: which; None: the first one.
             cautious: see :class:`coudalfish.step.attempt.Step`.
         """
-        start = Start(self.lam, self.floors, self.penalty)
-        parts = self.fluid, self.shell, self.options, start
+        chosen = self.attempts[0] if attempt is None else attempt
+        start = Start(self.lam, self.floors, self._penalty(chosen.options))
+        parts = self.fluid, self.shell, chosen, start
         return Step(*parts, self._meets, self.locator, self.watch, cautious=cautious)
 
     def _attempt(self, restore: Callable[[], None]) -> Outcome:
+        """Run the step in the way that the options ask for, and where that fails in the next one."""
+        *others, last = self.attempts
+        for k, attempt in enumerate(others):
+            try:
+                return self._run(attempt, restore)
+            except StepError as error:
+                text = "%s; from here on such steps fall back to a lagged multiplier (attempt %d)"
+                self.watch.warn_once("fallback", text, error, k + 2)
+            restore()
+        outcome = self._run(last, restore)
+        report = replace(outcome.report, attempts=outcome.report.attempts + len(others))
+        return replace(outcome, report=report)
+
+    def _run(self, attempt: Attempt, restore: Callable[[], None]) -> Outcome:
         """Run the step, and once more with caution when it does not converge; the first failure gives the diagnosis."""
-        first = self.step()
+        first = self.step(attempt)
         try:
             return first.run()
         except (RejectedStepError, SolveError) as error:
             failure = first.failure(error)
-            if not (self.options.second_attempt and first.passes):
+            if not (attempt.options.second_attempt and first.passes):
                 raise failure from error
         restore()
         log.log(logging.WARNING if self.fluid.comm.rank == 0 else logging.DEBUG, "%s; attempting it again", failure)
         try:
-            return self.step(cautious=True).run()
+            return self.step(attempt, cautious=True).run()
         except (RejectedStepError, SolveError) as error:
             raise failure from error
 

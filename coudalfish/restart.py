@@ -50,7 +50,8 @@ class CoupledState:
         if fsi.fluid.moving is not None:
             others["mesh"] = fsi.fluid.moving.time
         self._integrators = Integrators(fluid=fsi.timeInt_f, shell=fsi.timeInt_sh, **others)
-        self._multiplier = fem.Function(fsi.spline_sh.scalar.V, name="multiplier")
+        space = fsi.spline_sh.free(1 if fsi.lam.ndim == 1 else fsi.lam.shape[1])
+        self._multiplier = fem.Function(space.V, name="multiplier")
         self.fields = {**self._integrators.fields, "multiplier": self._multiplier}
 
     @property
@@ -81,7 +82,7 @@ class CoupledState:
 
     def record(self) -> dict[str, Any]:
         """Clocks, floors, and what tells the shell from others; the multiplier goes into its field."""
-        self._multiplier.x.array[:] = self._fsi.lam
+        self._multiplier.x.array[:] = self._fsi.lam.ravel()
         shell = {"shape": self._shape(), "parameters": self._parameters()}
         return {**self._integrators.record(), "floors": self._fsi.floors, **shell}
 
@@ -103,5 +104,5 @@ class CoupledState:
     def resume(self, record: Mapping[str, Any]) -> None:
         """Take over the fields, which have been read, and the record."""
         self._integrators.resume(record)
-        self._fsi.lam = self._multiplier.x.array.copy()
+        self._fsi.lam = self._multiplier.x.array.reshape(self._fsi.lam.shape).copy()
         self._fsi.floors = None if record["floors"] is None else tuple(record["floors"])

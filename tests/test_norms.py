@@ -174,9 +174,9 @@ def test_a_cautious_attempt_takes_half_of_the_increments_of_the_shell():
         step._predict()
         step._place()
         step._evaluate()
-        step._shell_residual()
+        step.shell_residual()
         before = s.y.x.array.copy()
-        step._solve_shell(True)
+        step.solve_shell(True)
         moved.append(s.y.x.array - before)
     assert np.abs(moved[0]).max() > 1e-3
     np.testing.assert_allclose(moved[1], 0.5 * moved[0], rtol=1e-9, atol=1e-14)

@@ -340,3 +340,19 @@ def test_one_layer_is_that_of_the_published_code(preset, whole):
     assert peak == pytest.approx(0.594, abs=0.003 if preset == "reference" else 0.02)
     assert np.abs(extruded.past["top_x"] - plane.past["top_x"]).max() < 0.03
     assert growth(extruded) < 4.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("d", [2, 3])
+def test_with_a_converged_multiplier_nothing_leaks_and_mirrored_leaflets_stay_so(d):
+    """The one that lags needs four passes a step, and an eighth of what flows in leaks."""
+    options = CouplingOptions.converged(**({"block_rtol": 1e-7} if d == 2 else {}))
+    valve = built(d, options=options, mirrored=True)
+    reports = [valve.fsi.takeStep() for _ in range(10)]
+    assert [report.attempts for report in reports] == [1] * 10
+    assert np.mean([report.passes for report in reports]) < (6.0 if d == 2 else 3.5)
+    speeds = np.linalg.norm(valve.fsi.shell.velocity(), axis=1)
+    assert abs(reports[-1].monitors.leak) < 1e-3 * speeds.max()
+    bottom, top = valve.tips()
+    assert bottom[0] > 0.1
+    np.testing.assert_allclose(bottom[:2], top[:2] * [1.0, -1.0], rtol=0.0, atol=1e-8 if d == 2 else 1e-6)

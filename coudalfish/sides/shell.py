@@ -1,9 +1,11 @@
 """The shell as the coupling sees it: a residual on a spline that every rank holds whole."""
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -130,6 +132,14 @@ class ShellSubproblem:
         """
         signs = 1.0 - 2.0 * (np.arange(len(displacement)) % 2)
         return self.system.product_norm((signs * self.quadrature.rational)[:, None] * np.abs(displacement))
+
+    @cached_property
+    def displacements(self) -> sp.csr_matrix:
+        """Displacements of the points by the coefficients that are free, shape (points d, coefficients)."""
+        rows, d = self.spline.rows, self.spline.nsd
+        free = np.ones(rows.shape[1])
+        free[self.spline.zero_dofs] = 0.0
+        return (sp.diags(np.repeat(1.0 / self.quadrature.rational, d)) @ rows @ sp.diags(free)).tocsr()
 
     def coupling_norm(self, forces: FloatArray) -> float:
         """Norm of point forces on the spline's functions; unit: force."""

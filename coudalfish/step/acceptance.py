@@ -95,6 +95,14 @@ class Acceptance:
         old, new = self.history[-2:]
         return any(b > STALL * a for a, b in zip(old, new, strict=True))
 
+    @property
+    def reduction(self) -> float:
+        """What the last pass has left of the residuals that are not accepted, the largest part; 0: there was none."""
+        if len(self.history) < 2:
+            return 0.0
+        found = zip(*self.history[-2:], self.limits, strict=True)
+        return max((new / old if old else math.inf for old, new, limit in found if new > limit), default=0.0)
+
     def failure(self) -> RejectedStepError:
         """The error that the limit of passes has been reached, naming the block that is further from convergence."""
         pairs = zip(self.history[-1], self.limits, strict=True)

@@ -17,13 +17,12 @@ from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.acceleration import Anderson
 from coudalfish.step.acceptance import Acceptance
 from coudalfish.step.floors import residual_floors
-from coudalfish.step.options import CouplingOptions
+from coudalfish.step.method import Attempt, StepMultiplier
 from coudalfish.step.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.step.watch import Watch
 from coudalfish.surface import exchange
 from coudalfish.surface.meeting import Meets
 from coudalfish.surface.monitors import Monitors, monitors_of
-from coudalfish.surface.multiplier import Multiplier, held_points
 from coudalfish.surface.trace import PointLocator
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
@@ -69,7 +68,7 @@ class Step:
     Args:
         fluid: the flow.
         shell: the immersed structure.
-        options: how they are coupled.
+        attempt: how they are coupled, and the kind of the multiplier.
         start: what the step starts from.
         meets: how the surface meets the fluid.
         locator: finds points in the fluid's mesh.
@@ -79,13 +78,17 @@ class Step:
     Attributes:
         block: where the attempt is, "mesh", "fluid", "shell" or "coupling".
         lam: multiplier that the step starts from, at its end that of the next one, shape (points,).
+        lag: share of the multiplier that is as the step before left it.
+        multiplier: that of the step, once the points are placed.
     """
+
+    multiplier: StepMultiplier
 
     def __init__(
         self,
         fluid: FluidSubproblem,
         shell: ShellSubproblem,
-        options: CouplingOptions,
+        attempt: Attempt,
         start: Start,
         meets: Meets,
         locator: PointLocator,
@@ -94,6 +97,7 @@ class Step:
         cautious: bool = False,
     ) -> None:
         self.fluid, self.shell, self.comm = fluid, shell, fluid.comm
+        self.method, self.lag, options = attempt.method, attempt.method.lag, attempt.options
         self.options = replace(options, tangent_update="pass", accelerate_after=0) if cautious else options
         self.meets, self.locator, self.watch, self.cautious = meets, locator, watch, cautious
         self.lam, self.floors, self.beta = start.lam, start.floors, start.penalty
@@ -147,10 +151,7 @@ class Step:
         if self.fluid.band is not None:
             self.fluid.band.update(meeting.location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
-        means = self.vertex_functions if self.options.relaxation_mode == "smoothed" else None
-        held = held_points(self.comm, self.fluid.free, self.shell.sheets, self.trace, self.n)
-        of_points = {"held": held, "active": meeting.active, "weights": self.W}
-        self.multiplier = Multiplier(self.lam, self.n, self.shell.sheets, vertex_functions=means, **of_points)
+        self.multiplier = self.method.begin(self)
         self.spacing = self.watch.spacing(x)
         self.watch.placed(self, x)
 
@@ -166,23 +167,28 @@ class Step:
         for _ in range(self.options.max_passes):
             self._evaluate()
             norm_f = self._fluid_residual()
-            if before and self._accepted(norm_f, self._shell_residual()):
+            if before and self._accepted(norm_f, self.shell_residual()):
                 return
-            begins = self.accelerated and self.passes == self.options.accelerate_after
-            fresh = self.passes == 0 or begins or self.acceptance.stalled or self.options.tangent_update == "pass"
-            self._solve_fluid(fresh)
-            self.u = self.fluid.velocity_at(self.trace)
-            norm_s = self._shell_residual()
-            self.acceptance.note(0.0, norm_s)
-            self._solve_shell(fresh)
+            norm_s = self.multiplier.advance(self)
             self.passes += 1
             if not before and self._accepted(norm_f, norm_s):
                 self._evaluate()
                 return
         self._evaluate()
-        if before and self._accepted(self._fluid_residual(), self._shell_residual()):
+        if before and self._accepted(self._fluid_residual(), self.shell_residual()):
             return
         raise self.acceptance.failure()
+
+    def alternate(self) -> float:
+        """One solve of the fluid, then one of the shell; returns the residual that the shell had."""
+        begins = self.accelerated and self.passes == self.options.accelerate_after
+        fresh = self.passes == 0 or begins or self.acceptance.stalled or self.options.tangent_update == "pass"
+        self._solve_fluid(fresh)
+        self.u = self.fluid.velocity_at(self.trace)
+        norm_s = self.shell_residual()
+        self.acceptance.note(0.0, norm_s)
+        self.solve_shell(fresh)
+        return norm_s
 
     @property
     def accelerated(self) -> bool:
@@ -204,7 +210,8 @@ class Step:
         self.block = "fluid"
         return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta))
 
-    def _shell_residual(self) -> float:
+    def shell_residual(self) -> float:
+        """Residual of the shell under the present forces (collective)."""
         self.block = "shell"
         return self._finite(ranks.agreed(self.comm, lambda: self.shell.assemble_residual(self.forces)))
 
@@ -217,12 +224,16 @@ class Step:
         self.block = "fluid"
         if fresh:
             consistent = self.options.fluid_tangent == "consistent" or self.accelerated
-            tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
-            part = tangent(*self.meeting.penalty, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
-            self.fluid.assemble_tangent(self.trace, part)
+            self.fluid.assemble_tangent(self.trace, self.penalty_tangent(consistent=consistent))
         self.linear_iterations += self.fluid.solve(first=self.passes == 0)
 
-    def _solve_shell(self, fresh: bool) -> None:
+    def penalty_tangent(self, *, consistent: bool) -> sp.csr_matrix:
+        """What the fluid's tangent has of the penalty, for one component, or its row sums."""
+        tangent = exchange.consistent_tangent if consistent else exchange.lumped_tangent
+        return tangent(*self.meeting.penalty, penalty=self.beta, factor=self.fluid.timeInt.x_factor)
+
+    def solve_shell(self, fresh: bool) -> None:
+        """One step of Newton's for the shell (collective)."""
         self.block = "shell"
         y = self.shell.timeInt.x.x.array
         ranks.agreed(self.comm, lambda: self._move_shell(y, fresh))
@@ -244,13 +255,14 @@ class Step:
         self.block = "coupling"
         forces = self.forces
         coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
-        return self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
+        small = self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
+        return small and self.multiplier.satisfied(self)
 
     def _floors(self) -> tuple[float, float]:
         """See :func:`residual_floors`; before the first solve those of the step before are good enough."""
         if self.passes == 0 and self.floors is not None:
             return self.floors
-        pushed = np.abs(self.multiplier.acting)[:, None] * np.abs(self.n)
+        pushed = np.abs(exchange.tractions(self.multiplier.acting, self.n))
         part = pushed + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
         terms, stiffness = self.W[:, None] * part, self.W * self.beta * self.shell.timeInt.xdot_factor
         state, atol = (self.fluid, self.shell, self.trace, terms, stiffness), self.options.block_atol
@@ -261,8 +273,9 @@ class Step:
 
     def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        forces = exchange.point_forces(u, y_dot, self.lam, n, W, penalty=self.beta)
+        forces = exchange.point_forces(u, y_dot, self.multiplier.whole, n, W, penalty=self.beta)
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
+        lam = exchange.tractions(lam, n) if self.lam.ndim == 2 else lam
         ranks.share(self.comm, lam)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
@@ -284,6 +297,7 @@ class Step:
 
     def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
         """What has been done so far."""
+        lagging = self.lag * float(np.abs(self.lam).max(initial=0.0))
         return StepReport(
             t=self.fluid.timeInt.time + self.dt,
             t_alpha=float(self.fluid.timeInt.t_alpha.value),
@@ -293,7 +307,7 @@ class Step:
             linear_iterations=self.linear_iterations,
             penalty=self.beta,
             inactive_points=self.inactive,
-            slip_ratio=float(np.abs(self.lam).max(initial=0.0)) * self.dt / (self.beta * self.fluid.mesh_size),
+            slip_ratio=lagging * self.dt / (self.beta * self.fluid.mesh_size),
             monitors=monitors,
             contact=contact,
         )

@@ -41,6 +41,13 @@ class CouplingOptions:
 
     Attributes:
         penalty: beta as a number (unit: force time/length^3) or a rule.
+        multiplier: "lagged" is that of the step before and updated after each, "converged" an unknown of the step, of
+            few functions on the shell, which fluid and shell are solved with at once; a step in which that fails falls
+            back to a lagged one that is smoothed.
+        multiplier_size: size of the cells on the shell whose hat functions make a converged multiplier, relative to
+            the fluid's cells.
+        multiplier_direction: "normal", or a converged multiplier may be a "vector", for fluids whose velocity may
+            have a kink at the shell; it locks others.
         relaxation: r >= 0 in the multiplier update; 0 suits transients, long runs need one, see docs/stability.md.
         relaxation_mode: "uniform" damps all of the multiplier by r, "smoothed" only its difference from its mean over
             the vertices of the fluid's mesh, which does not leak: r may be 0.1 to 1.
@@ -67,6 +74,9 @@ class CouplingOptions:
     """
 
     penalty: float | PenaltyRule = PenaltyRule(2.0, 0.5)
+    multiplier: Literal["lagged", "converged"] = "lagged"
+    multiplier_size: float = 2.5
+    multiplier_direction: Literal["normal", "vector"] = "normal"
     relaxation: float = 0.0
     relaxation_mode: Literal["uniform", "smoothed"] = "uniform"
     trace: Literal["nodes", "exact"] = "nodes"
@@ -86,6 +96,11 @@ class CouplingOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.penalty, PenaltyRule):
             checks.positive("penalty", self.penalty)
+        checks.choice("multiplier", self.multiplier, ("lagged", "converged"))
+        checks.positive("multiplier_size", self.multiplier_size)
+        checks.choice("multiplier_direction", self.multiplier_direction, ("normal", "vector"))
+        if (self.multiplier, self.multiplier_direction) == ("lagged", "vector"):
+            raise ValueError("multiplier = 'lagged', multiplier_direction = 'vector': 'normal' is required")
         checks.not_negative("relaxation", self.relaxation)
         checks.choice("relaxation_mode", self.relaxation_mode, ("uniform", "smoothed"))
         checks.choice("trace", self.trace, ("nodes", "exact"))
@@ -101,6 +116,8 @@ class CouplingOptions:
         checks.flag("second_attempt", self.second_attempt)
         checks.whole("acceleration", self.acceleration, 0)
         checks.whole("accelerate_after", self.accelerate_after, 0)
+        if self.multiplier == "converged" and self.stopping == "published":
+            raise ValueError("multiplier = 'converged', stopping = 'published': stopping 'before_solve' is required")
 
     def with_(self, **changes: Any) -> "CouplingOptions":
         """The same options but for some.
@@ -129,6 +146,17 @@ class CouplingOptions:
             changes: other options.
         """
         return cls(relaxation=0.2, relaxation_mode="smoothed").with_(**changes)
+
+    @classmethod
+    def converged(cls, **changes: Any) -> "CouplingOptions":
+        """A multiplier that is converged in every step, with a penalty that knows neither the time step nor inertia.
+
+        Frequencies of light shells are right at any time step, and sheets do not leak.
+
+        Args:
+            changes: other options.
+        """
+        return cls(multiplier="converged", penalty=PenaltyRule(10.0, 0.0)).with_(**changes)
 
     @classmethod
     def reference(cls, **changes: Any) -> "CouplingOptions":

@@ -15,7 +15,7 @@ from coudalfish.sides.scales import directions, extent
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.acceptance import Acceptance
 from coudalfish.step.report import StepReport
-from coudalfish.surface.exchange import VertexMeans
+from coudalfish.surface.exchange import VertexMeans, tractions
 from coudalfish.surface.slip import SHARE_OF_LOAD, WINDOW, SlipWindow, root_mean_square
 from tigar_x.compat import FloatArray
 
@@ -68,6 +68,7 @@ class Watched(Protocol):
         dt: time step.
         beta: penalty.
         lam: multiplier, shape (points,).
+        lag: share of it that is as the step before left it.
         n: normals, shape (points, d).
         W: reference areas, zero at points outside the fluid, shape (points,).
         u: velocity of the fluid at the points, shape (points, d).
@@ -81,6 +82,7 @@ class Watched(Protocol):
     dt: float
     beta: float
     lam: FloatArray
+    lag: float
     n: FloatArray
     W: FloatArray
     u: FloatArray
@@ -195,9 +197,9 @@ class Watch:
 
     def _warn_of_slip(self, step: Watched, speed: float) -> None:
         h, dt, beta = self._fluid.mesh_size, step.dt, step.beta
-        both = np.hstack([step.lam[:, None] * step.n, step.u - step.y_dot])
+        both = np.hstack([tractions(step.lam, step.n), step.u - step.y_dot])
         lam, slip = np.hsplit(VertexMeans(step.vertex_functions, step.W) @ both, 2)
-        ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * dt / (beta * h)
+        ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * step.lag * dt / (beta * h)
         moved = root_mean_square(step.W, step.y_dot)
         rest = self._rest(root_mean_square(step.W, lam), dt)
         now = self._slip.add(slip, step.n, step.W, max(speed, moved, rest))
@@ -281,7 +283,7 @@ class Watch:
     def _figures(self, step: Watched, speed: float) -> dict[str, Figure]:
         """Numbers that have limits, by name with the remedy."""
         fluid, h = self._fluid, self._fluid.mesh_size
-        slip = float(np.abs(step.lam).max(initial=0.0)) * step.dt / (step.beta * h)
+        slip = float(np.abs(step.lam).max(initial=0.0)) * step.lag * step.dt / (step.beta * h)
         figures = {
             "slip ratio lam dt/(beta h) (raise the penalty beta or reduce dt)": Figure(slip, SLIP_LIMIT),
             "Courant number |u - u_mesh| dt/h (reduce dt)": Figure(speed * step.dt / h, COURANT_LIMIT),

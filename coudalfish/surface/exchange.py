@@ -13,6 +13,29 @@ import scipy.sparse as sp
 from tigar_x.compat import FloatArray
 
 
+def tractions(lam: FloatArray, n: FloatArray) -> FloatArray:
+    """A multiplier as force per area, shape (points, d).
+
+    Args:
+        lam: along the normals, shape (points,), or a vector already, shape (points, d).
+        n: normals, shape (points, d).
+    """
+    return lam[:, None] * n if lam.ndim == 1 else lam
+
+
+def along_normals(lam: FloatArray, n: FloatArray) -> FloatArray:
+    """The part of a multiplier along the normals, shape (points,).
+
+    Args:
+        lam: shape (points,) or (points, d).
+        n: normals of any length, shape (points, d).
+    """
+    if lam.ndim == 1:
+        return lam
+    square = np.einsum("qi,qi->q", n, n)
+    return np.divide(np.einsum("qi,qi->q", lam, n), square, out=np.zeros_like(square), where=square > 0.0)
+
+
 def point_forces(
     u: FloatArray, y_dot: FloatArray, lam: FloatArray, n: FloatArray, W: FloatArray, *, penalty: float
 ) -> FloatArray:
@@ -21,7 +44,7 @@ def point_forces(
     Args:
         u: fluid velocity, shape (points, d).
         y_dot: shell velocity, shape (points, d).
-        lam: multiplier, shape (points,); unit: force/area.
+        lam: multiplier, shape (points,) or, as a vector, (points, d); unit: force/area.
         n: shell normals, shape (points, d).
         W: reference areas, zero at inactive points, shape (points,).
         penalty: beta; unit: force time/length^3.
@@ -29,7 +52,7 @@ def point_forces(
     Returns:
         Forces, shape (points, d).
     """
-    return W[:, None] * (penalty * (u - y_dot) + lam[:, None] * n)
+    return W[:, None] * (penalty * (u - y_dot) + tractions(lam, n))
 
 
 def lumped_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, factor: float) -> sp.csr_matrix:

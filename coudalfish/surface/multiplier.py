@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,8 +21,15 @@ HELD = 1e-2
 """A point is held when what moves at its nodes has less than this weight there."""
 
 
+class Alternating(Protocol):
+    """A step that solves fluid and shell in turn."""
+
+    def alternate(self) -> float:
+        """One solve of each; returns the residual that the shell had with the new flow."""
+
+
 class Multiplier:
-    """The multiplier of a step.
+    """The multiplier of a step, which lags behind it by one.
 
     At points that neither side can move it acts on nothing and has no equation: it is carried over from the nearest
     other points, so that forces and largest values are those of the whole surface.
@@ -38,6 +45,7 @@ class Multiplier:
 
     Attributes:
         acting: multiplier without that of points that are held, shape (points,).
+        whole: all of it, shape (points,).
     """
 
     def __init__(
@@ -52,9 +60,18 @@ class Multiplier:
         vertex_functions: sp.csr_matrix | None,
     ) -> None:
         self._held, self._lam, self._active, self._sheets = held, lam, active, sheets
+        self.whole = lam
         self.acting = np.where(held, 0.0, lam)
         W = np.where(active & ~held, weights, 0.0)
         self._means = None if vertex_functions is None else SheetMeans(vertex_functions, W, n, sheets)
+
+    def advance(self, step: Alternating) -> float:
+        """One pass: fluid and shell in turn."""
+        return step.alternate()
+
+    def satisfied(self, step: Alternating) -> bool:
+        """It has no equation in the step."""
+        return True
 
     def updated(
         self, u: FloatArray, y_dot: FloatArray, n: FloatArray, *, penalty: float, relaxation: float

@@ -239,6 +239,27 @@ class PreparedSolver:
             if thing is not None:
                 thing.destroy()
 
+    def preconditioner(self) -> PETSc.PC:
+        """The recipe's preconditioner, or its factors, for the matrix as it is, without its fallbacks (collective).
+
+        Raises:
+            SolveError: PETSc could not make it.
+        """
+        try:
+            ksp, operator = self._ksp, self._operator()
+            if self.recipe.ksp is not None:
+                _hand_over(ksp, operator)
+            pc = ksp.getPC()
+            with self._table_of_options():
+                if self.recipe.ksp is None:
+                    pc.setReusePreconditioner(False)
+                pc.setUp()
+                pc.setUpOnBlocks()
+        except PETSc.Error as error:
+            self._discard()
+            raise SolveError(f"{self.recipe.name}: no preconditioner (PETSc: {error})") from None
+        return pc
+
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.
 

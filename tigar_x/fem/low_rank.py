@@ -60,10 +60,11 @@ class LowRank:
         compat.freed_with(self, *vectors)
         self._constrained = constrained[constrained < vectors[0].getLocalSize()]
         self._refinable: list[bool] | None = None
+        self._assembled = False
 
     def forget(self) -> None:
         """The rest of the tangent has changed."""
-        self._refinable = None
+        self._refinable, self._assembled = None, False
 
     def _assemble(self, vectors: list[PETSc.Vec]) -> None:
         for vector, form in zip(vectors, self._forms, strict=False):
@@ -78,6 +79,7 @@ class LowRank:
 
     def _prepare(self, solver: PreparedSolver, A: PETSc.Mat) -> int:
         self._assemble([*self._loads, *self._slopes])
+        self._assembled = True
         iterations = sum(solver.solve(load, z) for load, z in zip(self._loads, self._solved, strict=True))
         self._refinable = [self._set_error(i, A) > 0.0 for i in range(len(self._loads))]
         return iterations
@@ -140,6 +142,13 @@ class LowRank:
         b.copy(self._work)
         self._work.maxpy(-amounts, loads)
         return np.asarray(amounts)
+
+    def add_product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Add the product of the dense part and x to y (collective)."""
+        if not self._assembled:
+            self._assemble([*self._loads, *self._slopes])
+            self._assembled = True
+        y.maxpy([slope.dot(x) for slope in self._slopes], self._loads)
 
     def remove(self, vector: PETSc.Vec) -> None:
         """Take the present loads out of a vector (collective)."""

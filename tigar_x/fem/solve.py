@@ -175,6 +175,25 @@ class FiniteElementSystem:
             self._null.remove(self._dx)
         return self._dx
 
+    def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """The product of the tangent, with loads of ``rank_one``, and a vector (collective).
+
+        Args:
+            x: vector.
+            y: overwritten by the product.
+        """
+        self.A.mult(x, y)
+        if self._low_rank is not None:
+            self._low_rank.add_product(x, y)
+
+    def preconditioner(self) -> PETSc.PC:
+        """That of the linear solver, for the tangent as it is (collective); ``rank_one`` is not in it.
+
+        Raises:
+            SolveError: it could not be made.
+        """
+        return self._solver.preconditioner()
+
     @property
     def linear_rtol(self) -> float:
         """Reduction of the residual's norm at which the linear solver stops; 0 for a factorisation."""

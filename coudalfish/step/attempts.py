@@ -1,0 +1,61 @@
+"""Which attempts a step gets, by the options of the coupling: what fails falls back to a multiplier that lags."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.sides.shell import ShellSubproblem
+from coudalfish.step.method import Attempt, Stepping
+from coudalfish.step.options import CouplingOptions, PenaltyRule
+from coudalfish.surface.exchange import along_normals
+from coudalfish.surface.multiplier import Multiplier, held_points
+
+
+class Lagged:
+    """The multiplier is what the step before left; fluid and shell are solved in turn.
+
+    Args:
+        smoothed: whether relaxation leaves its means over the fluid's vertices alone.
+    """
+
+    lag = 1.0
+
+    def __init__(self, *, smoothed: bool) -> None:
+        self._smoothed = smoothed
+
+    def begin(self, step: Stepping) -> Multiplier:
+        """See :class:`Method`."""
+        means, sheets = step.vertex_functions if self._smoothed else None, step.shell.sheets
+        held = held_points(step.comm, step.fluid.free, sheets, step.trace, step.n)
+        of_points = {"held": held, "active": step.meeting.active, "weights": step.W}
+        return Multiplier(along_normals(step.lam, step.n), step.n, sheets, vertex_functions=means, **of_points)
+
+
+FALLBACK: dict[str, Any] = {
+    "multiplier": "lagged",
+    "multiplier_direction": "normal",
+    "penalty": PenaltyRule(2.0, 0.5),
+    "relaxation": 0.5,
+    "relaxation_mode": "smoothed",
+}
+"""What a step is coupled by that has failed with a converged multiplier: a lag needs a penalty that knows dt."""
+
+
+def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubproblem) -> Sequence[Attempt]:
+    """The ways to take a step, each where those before have failed; the first one is what the options ask for.
+
+    Args:
+        options: how fluid and shell are coupled.
+        fluid: the flow.
+        shell: the immersed structure.
+    """
+    lagged = Lagged(smoothed=options.relaxation_mode == "smoothed")
+    if options.multiplier == "lagged":
+        return (Attempt(lagged, options),)
+    from coudalfish.step.converged import PASSES, Converged  # who has a lagged multiplier needs nothing of it
+
+    alone = options.with_(acceleration=0, second_attempt=False, max_passes=min(options.max_passes, PASSES))
+    first = Attempt(Converged(fluid, shell, options), alone)
+    known = fluid.density is not None and fluid.viscosity is not None
+    changes = FALLBACK if known else {**FALLBACK, "penalty": options.penalty}
+    return first, Attempt(Lagged(smoothed=True), options.with_(**changes))

@@ -1,0 +1,280 @@
+"""A multiplier that is converged in the step: what it is made of, what it solves, and what it falls back to."""
+
+import logging
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import restarted
+from mpi4py import MPI
+from scenes import free_sheet, sheet_in_flow
+from scipy.sparse import csr_matrix
+from test_coupled_contact import approaching
+from test_watch import piston
+
+from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
+from coudalfish.restart import CoupledState
+from coudalfish.step import condensed
+from coudalfish.step.attempts import FALLBACK
+from coudalfish.step.converged import coefficients
+from coudalfish.surface.hats import hat_functions
+from coudalfish.surface.sheets import Sheets
+from tigar_x.fem.linear import SolveError, direct, gmres_ilu
+from tigar_x.fem.schemes import generalized_alpha
+from tigar_x.geometry import shapes
+from tigar_x.geometry.gluing import glued
+from tigar_x.geometry.multipatch import disjoint
+from tigar_x.geometry.patch import Patch
+from tigar_x.run.restart import Restart
+from tigar_x.splines.spline import ExtractedSpline
+from varmint.conditions import Resistance, Slip, Velocity
+from varmint.flow import Flow, FlowOptions
+from varmint.mesh import box
+
+TIGHT = CouplingOptions.converged(block_rtol=1e-9, block_atol=1e-13)
+
+
+@pytest.fixture
+def warned(caplog):
+    """The warnings of the coupling so far; on other ranks than the first there are none."""
+    caplog.set_level(logging.WARNING, logger="coudalfish")
+    return lambda: [record.getMessage() for record in caplog.records if record.name.startswith("coudalfish")]
+
+
+def in_flow(options=TIGHT, **changes):
+    """A sheet that a flow takes along."""
+    return sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.2), dt=0.05, n=8, options=options, **changes)
+
+
+# -- functions --------------------------------------------------------------------------------------------------------
+
+
+def hats_on(geometry, size):
+    """Points, their signs, and the functions there."""
+    spline = ExtractedSpline(geometry, MPI.COMM_SELF)
+    sheets = Sheets.of(spline)
+    return sheets, hat_functions(spline, sheets, spline.node_areas, size).toarray(), spline.node_areas
+
+
+def test_functions_sum_to_one_and_are_linear_between_the_lines_of_a_grid_of_their_own():
+    sheets, N, _ = hats_on(shapes.line((0.0, 0.0), (1.2, 0.9), elements=10), 0.26)
+    s = np.hypot(*sheets.X.T)
+    assert N.shape[1] == 7
+    np.testing.assert_allclose(N, np.maximum(0.0, 1.0 - np.abs(s[:, None] / 0.25 - np.arange(7))), atol=1e-12)
+
+
+def test_leaflets_that_are_mirror_images_have_functions_that_are():
+    """Whichever way each of them is parametrised, and whatever its length is to the grid's cells."""
+    low, high = shapes.line((2.0, 0.0), (2.0, 0.7), elements=9), shapes.line((2.0, 0.9), (2.0, 1.6), elements=9)
+    for other in (high, high.reversed(0)):
+        sheets, N, _ = hats_on(disjoint(low, other), 0.3)
+        mirrored = np.argsort(np.abs(sheets.X[:, 1] - 0.8), kind="stable").reshape(-1, 2)
+        below = sheets.X[mirrored[:, 0], 1] < 0.8
+        pairs = np.where(below[:, None], mirrored, mirrored[:, ::-1])
+        first, second = N[pairs[:, 0]][:, :3], N[pairs[:, 1]][:, 3:]
+        turned = other is high
+        np.testing.assert_allclose(first, second[:, ::-1] if turned else second, atol=1e-12)
+
+
+def test_functions_go_on_across_joints_along_normals_that_agree():
+    """A bent line in two parts, the second one parametrised backwards, and a closed line."""
+    ends = (0.0, 0.0), (1.0, 0.0), (1.5, 1.0)
+    parts = [shapes.line(*pair, elements=8) for pair in pairwise(ends)]
+    sheets, N, _ = hats_on(glued(parts[0], parts[1].reversed(0)), 0.25)
+    assert N.shape[1] == 4 + 1 + 4
+    assert set(sheets.sign) == {1.0, -1.0}
+    a, b = sheets.joints[0]
+    np.testing.assert_array_equal(sheets.sign[a] * N[a], sheets.sign[b] * N[b])
+    np.testing.assert_allclose(N.sum(axis=1), sheets.sign, atol=1e-13)
+    loop = [shapes.line(*pair, elements=8) for pair in pairwise((*ends, ends[0]))]
+    assert hats_on(glued(*loop), 0.25)[1].shape[1] == 4 + 4 + 7
+
+
+def test_functions_on_surfaces_are_products():
+    sheets, N, area = hats_on(
+        shapes.parallelogram((0, 0, 0), (1, 0, 0), (0, 0.5, 0), elements=(8, 4), degrees=(1, 1)), 0.25
+    )
+    assert N.shape[1] == 5 * 3
+    linear = sheets.X @ [2.0, -1.0, 0.0] + 3.0
+    np.testing.assert_allclose(N @ coefficients(csr_matrix(N), area, linear), linear, atol=1e-12)
+
+
+def test_small_functions_are_merged_with_their_neighbours():
+    """On a triangle, whose grid's lines have no length at one end."""
+    triangle = Patch.from_points(
+        shapes.parallelogram((0, 0, 0), (1, 0, 0), (0, 1, 0), elements=(8, 8), degrees=(1, 1)).bases,
+        np.array([[r * (1 - t), r * t, 0.0] for t in np.linspace(0, 1, 9) for r in np.linspace(0, 1, 9)]),
+    )
+    _, N, area = hats_on(triangle, 0.25)
+    assert N.T @ area == pytest.approx(np.maximum(N.T @ area, 0.2 * 0.25**2))
+    np.testing.assert_allclose(N.sum(axis=1), 1.0, atol=1e-12)
+
+
+# -- steps ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("mass_ratio", [1.0, 1e-4])
+def test_a_piston_on_a_spring_comes_back_in_time_at_fifty_steps_a_period(warned, mass_ratio):
+    """With a multiplier that lags it is 14 and 18 percent late."""
+    found = piston(50, mass_ratio=mass_ratio, multiplier="converged", penalty=PenaltyRule(10.0, 0.0))
+    assert found.frequency == pytest.approx(1.0, abs=0.003)
+    assert not any("passed the shell" in text or "fall back" in text for text in warned())
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("solver", [direct(), gmres_ilu(1)], ids=["direct", "gmres"])
+@pytest.mark.parametrize("normal", ["predictor", "iterate"])
+def test_a_step_converges_as_newton_s_method_does_and_no_fluid_passes_in_the_mean(solver, normal):
+    s = in_flow(TIGHT.with_(normal=normal), solver=solver, traction=0.2)
+    for _ in range(3):
+        report = s.fsi.takeStep()
+        norms = np.array(report.residuals)
+        assert report.attempts == 1
+        assert report.passes <= 5
+        assert norms[1, 0] < (1e-2 if report.passes > 1 else 1e-6) * norms[0, 0]
+    assert (
+        abs(report.monitors.leak) < 1e-3 * report.monitors.normal_slip_max
+    )  # over the present area, not the first one
+    assert report.monitors.force_imbalance < 1e-12
+
+
+def test_the_multiplier_is_one_of_its_functions_and_is_what_the_next_step_starts_from():
+    s = in_flow()
+    s.fsi.takeStep()
+    N = s.fsi.attempts[0].method.functions
+    c = coefficients(N, s.shell.quadrature.weights, s.fsi.lam)
+    np.testing.assert_allclose(N @ c, s.fsi.lam, rtol=0.0, atol=1e-12 * np.abs(s.fsi.lam).max())
+    assert np.abs(s.fsi.lam).max() > 0.0
+
+
+@pytest.mark.mpi
+def test_a_vector_leaves_no_slip_in_the_means_of_its_functions(monkeypatch):
+    s = in_flow(TIGHT.with_(multiplier_direction="vector"), traction=0.2)
+    slip = []
+    monkeypatch.setattr(s.fsi.watch, "finished", lambda step, report: slip.append(step.u - step.y_dot))
+    for _ in range(2):
+        step, finished = s.fsi.watch, s.fsi.watch.finished
+        step.finished = lambda step, report, finished=finished: (
+            slip.append(step.u - step.y_dot),
+            finished(step, report),
+        )
+        assert s.fsi.takeStep().attempts == 1
+    assert s.fsi.lam.shape == (len(s.shell.quadrature.points), 2)
+    N, W = s.fsi.attempts[0].method.functions, s.shell.quadrature.weights[:, None]
+    assert np.abs(N.T @ (W * slip[-1])).max() < 1e-6 * (N.T @ (W * np.abs(slip[-1]))).max()
+
+
+@pytest.mark.mpi
+def test_a_vector_falls_back_to_its_part_along_the_normals(monkeypatch):
+    options = CouplingOptions.converged(multiplier_direction="vector")
+    s = in_flow(options, ends=((0.4, 0.25), (0.4, 0.75)))
+    s.fsi.takeStep()
+
+    def fails(self, *arguments):
+        raise SolveError("no solution")
+
+    monkeypatch.setattr(condensed.CondensedSystem, "solve", fails)
+    assert s.fsi.takeStep().attempts == 2
+    assert np.abs(s.fsi.lam[:, 1]).max() < 5e-2 * np.abs(s.fsi.lam[:, 0]).max()
+    monkeypatch.undo()
+    assert s.fsi.takeStep().attempts == 1
+
+
+@pytest.mark.parametrize("kind", ["plain", "vector", "contact"])
+def test_a_run_goes_on_from_a_checkpoint(kind, tmp_path):
+    make = {
+        "plain": lambda: in_flow().fsi,
+        "vector": lambda: in_flow(TIGHT.with_(multiplier_direction="vector")).fsi,
+        "contact": lambda: approaching(speed=6.0, dt=0.004, options=TIGHT).fsi,  # in steps 4 and 5
+    }[kind]
+    whole, first, second = make(), make(), make()
+    for _ in range(6):
+        report = whole.takeStep()
+        assert report.attempts == 1
+    for _ in range(3):
+        first.takeStep()
+    Restart(tmp_path, CoupledState(first), every=1).write()
+    Restart(tmp_path, CoupledState(second), every=1).read()
+    for _ in range(3):
+        second.takeStep()
+    for one, other in zip(restarted.norms(whole), restarted.norms(second), strict=True):
+        assert other == pytest.approx(one, rel=1e-10, abs=1e-13)
+
+
+def test_contact_keeps_sheets_apart():
+    s = approaching(options=CouplingOptions.converged())
+    pairs = []
+    for _ in range(40):
+        report = s.fsi.takeStep()
+        assert report.attempts == 1
+        pairs.append(report.contact.pairs)
+    assert max(pairs) > 0
+
+
+@pytest.mark.mpi
+def test_points_outside_the_fluid_have_no_multiplier(warned):
+    ends = ((0.55, 0.5), (0.93, 0.5))
+    s = sheet_in_flow(
+        (0.0, 0.0), sheet_velocity=(0.5, 0.0), ends=ends, rho_s=100.0, options=CouplingOptions.converged()
+    )
+    inactive = []
+    for _ in range(12):
+        report = s.fsi.takeStep()
+        assert report.attempts == 1
+        inactive.append(report.inactive_points)
+    assert inactive[0] == 0
+    assert 4 < inactive[6] < inactive[-1]
+    assert not any("fall back" in text for text in warned())
+
+
+@pytest.mark.mpi
+def test_outlets_with_a_large_resistance():
+    """Their dense part is in the products, so that one pass is enough."""
+    mesh = box(MPI.COMM_WORLD, (0.0, 0.0), (1.0, 0.25), (8, 4))
+    sides = [Velocity("left", (0.1, 0.0)), Slip(("bottom", "top")), Resistance("right", 1e3)]
+    known = {"rho": 1.0, "mu": 0.1, "dt": 0.05, "scheme": generalized_alpha(0.5), "immersed": True}
+    flow = Flow(mesh, sides, **known, options=FlowOptions(solver=direct()))
+    sheet = free_sheet(ends=((0.52, 0.02), (0.52, 0.23)), dt=0.05)
+    fsi = CouDALFISh(flow, sheet.shell, CouplingOptions.converged())
+    for _ in range(2):
+        report = fsi.takeStep()
+    assert (report.passes, report.attempts) == (1, 1)
+
+
+# -- what fails -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_step_that_fails_falls_back_to_a_lagged_smoothed_multiplier_and_says_so_once(warned, monkeypatch):
+    fallen, lagged = in_flow(CouplingOptions.converged()), in_flow(CouplingOptions(**FALLBACK))
+    monkeypatch.setattr(condensed, "ITERATIONS", 1)
+    for _ in range(3):
+        reports = [s.fsi.takeStep() for s in (fallen, lagged)]
+    assert [report.attempts for report in reports] == [2, 1]
+    assert restarted.norms(fallen.fsi) == pytest.approx(restarted.norms(lagged.fsi), rel=1e-12)
+    assert sum("fall back to a lagged multiplier" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
+
+
+def test_a_step_that_fails_in_every_way_leaves_the_last_good_state(monkeypatch):
+    s = in_flow(CouplingOptions.converged())
+    s.fsi.takeStep()
+    before = restarted.norms(s.fsi)
+
+    def fails(self):
+        raise SolveError("no solution")
+
+    monkeypatch.setattr(type(s.shell), "solve", fails)
+    with pytest.raises(StepError, match="no solution"):
+        s.fsi.takeStep()
+    assert restarted.norms(s.fsi) == before
+
+
+def test_a_multiplier_that_lags_is_normal():
+    with pytest.raises(ValueError, match="'normal' is required"):
+        CouplingOptions(multiplier_direction="vector")
+
+
+def test_a_converged_multiplier_is_tested_before_a_pass_solves():
+    with pytest.raises(ValueError, match="stopping 'before_solve' is required"):
+        CouplingOptions.reference(multiplier="converged")
