@@ -27,6 +27,12 @@ HEADER = ("setting", "steps", "passes", "linear", "CPU s", "L2 u", "H1 u", "L2 p
 STEADY_HEADER = ("setting", "steps", "passes", "CPU s", "slip rms")
 DEFAULT = CouplingOptions()
 ILU = gmres_ilu(1)
+MULTIPLIER_DATA: dict[str, dict[str, float]] = {
+    "": {},
+    ", dt x 4": {"dt_factor": 4.0},
+    ", jump 30": {"DP": 30.0},
+    ", mu = 1e-3": {"mu": 1e-3},
+}
 Study = tuple[str, list[tuple[Any, ...]]]
 
 
@@ -120,6 +126,14 @@ def studies() -> Iterator[Study]:
         [
             run(f"C_2 {C_2}", replace(DEFAULT, penalty=PenaltyRule(2.0, C_2)), level=4, mu=1e-3)
             for C_2 in (0.0, 0.1, 0.5, 2.0)
+        ],
+    )
+    yield (
+        "multiplier, level 4",
+        [
+            run(name + change, options, level=4, **data)
+            for change, data in MULTIPLIER_DATA.items()
+            for name, options in (("lagged", DEFAULT), ("converged", CouplingOptions.converged()))
         ],
     )
     yield (

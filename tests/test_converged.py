@@ -124,18 +124,17 @@ def test_a_piston_on_a_spring_comes_back_in_time_at_fifty_steps_a_period(warned,
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("solver", [direct(), gmres_ilu(1)], ids=["direct", "gmres"])
-@pytest.mark.parametrize("normal", ["predictor", "iterate"])
-def test_a_step_converges_as_newton_s_method_does_and_no_fluid_passes_in_the_mean(solver, normal):
-    s = in_flow(TIGHT.with_(normal=normal), solver=solver, traction=0.2)
+@pytest.mark.parametrize(("normal", "trace"), [("predictor", "nodes"), ("iterate", "nodes"), ("predictor", "exact")])
+def test_a_step_converges_as_newton_s_method_does_and_no_fluid_passes_in_the_mean(solver, normal, trace):
+    s = in_flow(TIGHT.with_(normal=normal, trace=trace), solver=solver, traction=0.2)
     for _ in range(3):
         report = s.fsi.takeStep()
         norms = np.array(report.residuals)
         assert report.attempts == 1
         assert report.passes <= 5
         assert norms[1, 0] < (1e-2 if report.passes > 1 else 1e-6) * norms[0, 0]
-    assert (
-        abs(report.monitors.leak) < 1e-3 * report.monitors.normal_slip_max
-    )  # over the present area, not the first one
+    # the leak is one over the present area, the functions' means are over that at rest
+    assert abs(report.monitors.leak) < 1e-3 * report.monitors.normal_slip_max
     assert report.monitors.force_imbalance < 1e-12
 
 
@@ -154,11 +153,6 @@ def test_a_vector_leaves_no_slip_in_the_means_of_its_functions(monkeypatch):
     slip = []
     monkeypatch.setattr(s.fsi.watch, "finished", lambda step, report: slip.append(step.u - step.y_dot))
     for _ in range(2):
-        step, finished = s.fsi.watch, s.fsi.watch.finished
-        step.finished = lambda step, report, finished=finished: (
-            slip.append(step.u - step.y_dot),
-            finished(step, report),
-        )
         assert s.fsi.takeStep().attempts == 1
     assert s.fsi.lam.shape == (len(s.shell.quadrature.points), 2)
     N, W = s.fsi.attempts[0].method.functions, s.shell.quadrature.weights[:, None]

@@ -24,7 +24,7 @@ class Lagged:
         self._smoothed = smoothed
 
     def begin(self, step: Stepping) -> Multiplier:
-        """See :class:`Method`."""
+        """See :class:`coudalfish.step.method.Method`."""
         means, sheets = step.vertex_functions if self._smoothed else None, step.shell.sheets
         held = held_points(step.comm, step.fluid.free, sheets, step.trace, step.n)
         of_points = {"held": held, "active": step.meeting.active, "weights": step.W}
