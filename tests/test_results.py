@@ -168,6 +168,8 @@ def test_quantities_beside_what_is_published():
     assert "published (doi:10.1/x)" in quantity_table(summary, "10.1/x").splitlines()[0]
     assert quantity_table(summary).splitlines()[-1].split() == ["lift", "0.1", "-"]
     assert "published" not in quantity_table({"qoi": {"drag": {"value": 5.5}}})
+    head, row = quantity_table({"qoi": {"frequency": {"value": 0.9, "exact": 1.0}}}).splitlines()
+    assert (head.split(), row.split()) == (["quantity", "value", "exact"], ["frequency", "0.9", "1"])
 
 
 def test_what_one_solve_takes_has_the_names_of_runs():

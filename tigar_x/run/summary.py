@@ -131,14 +131,14 @@ def table(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def quantity_table(summary: Mapping[str, Any], doi: str = "") -> str:
-    """Plain text table of the quantities of a summary, beside what is published.
+    """Plain text table of the quantities of a summary, beside what is published and what is exact.
 
     Args:
         summary: of :func:`write_summary`.
         doi: of the published values.
     """
     found = summary.get("qoi", {}).items()
-    known = f"published (doi:{doi})" if doi else "published"
-    if any("published" in quantity for _, quantity in found):
-        return table(("quantity", "value", known), [(k, q["value"], q.get("published", "-")) for k, q in found])
-    return table(("quantity", "value"), [(name, quantity["value"]) for name, quantity in found])
+    known = {"published": f"published (doi:{doi})" if doi else "published", "exact": "exact"}
+    beside = {key: head for key, head in known.items() if any(key in quantity for _, quantity in found)}
+    rows = [(name, quantity["value"], *(quantity.get(key, "-") for key in beside)) for name, quantity in found]
+    return table(("quantity", "value", *beside.values()), rows)
