@@ -8,6 +8,8 @@ run it.
 
 from tigar_x.compat.algebra import (
     accumulate,
+    add_matrix,
+    add_vector,
     apply_values,
     assemble_matrix,
     assemble_scalar,
@@ -50,6 +52,7 @@ from tigar_x.compat.meshes import (
     owned_cells,
     shortest_edges,
 )
+from tigar_x.compat.parts import PartialForm
 from tigar_x.compat.points import PointField, VectorAtPoints
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import (
@@ -77,6 +80,7 @@ __all__ = [
     "CompiledForm",
     "cache_folder",
     "compiled_forms",
+    "PartialForm",
     "compile_cpu_seconds",
     "compile_forms",
     "compile_seconds",
@@ -115,6 +119,8 @@ __all__ = [
     "owned_cells",
     "shortest_edges",
     "accumulate",
+    "add_matrix",
+    "add_vector",
     "apply_values",
     "assemble_matrix",
     "assemble_scalar",

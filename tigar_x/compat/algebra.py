@@ -115,6 +115,18 @@ def assemble_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
     petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
 
 
+def add_vector(b: FloatArray, form: Any) -> None:
+    """Add an assembled form to an array of local dofs, ghosts included, which are not summed."""
+    fem.assemble_vector(b, form)  # type: ignore[call-overload]
+
+
+def add_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
+    """Add an assembled form to ``A``, and write ones into the diagonal at dofs of ``bcs``, whose rows and columns are
+    left alone otherwise; assembly is not finished.
+    """
+    petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
+
+
 def assemble_scalar(form: Any) -> float:
     """Value of a compiled functional, summed over all ranks."""
     return float(form.mesh.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))

@@ -71,22 +71,28 @@ class FiniteElementSystem:
         self.x = x
         self.bcs = tuple(bcs)
         self.recipe = chosen(solver, direct(), prefix)
-        jacobian = ufl.derivative(residual, x) if tangent is None else tangent
-        self._residual, self._tangent = compat.compile_forms(residual, jacobian)
-        blocked = x.function_space.dofmap.index_map_bs > 1
-        self.A = compat.create_matrix(self._tangent, self.recipe.matrix if blocked else "aij")
-        self.b = compat.create_vector(x.function_space)
-        self._dx = self.b.duplicate()
         self.constrained = compat.constrained_dofs(self.bcs)
-        self._solver = PreparedSolver(self.recipe, self.A)
-        compat.freed_with(self, self.A, self.b, self._dx)
         self.iterations = 0
-        self.has_tangent = False
+        self._make(residual, ufl.derivative(residual, x) if tangent is None else tangent)
         self._null = None if constant is None else self._null_space(constant)
         self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
         self._before = tuple(before)
         self._resolution = resolution
-        self._kept = KeptMatrix(self.A)
+
+    def _make(self, residual: ufl.Form, tangent: ufl.Form) -> None:
+        """Compile the equations, and make what they are assembled into."""
+        self._residual, self._tangent = compat.compile_forms(residual, tangent)
+        blocked = self.x.function_space.dofmap.index_map_bs > 1
+        A = compat.create_matrix(self._tangent, self.recipe.matrix if blocked else "aij")
+        self._lay_out(self, A, compat.create_vector(self.x.function_space))
+
+    def _lay_out(self, owner: Any, A: PETSc.Mat, b: PETSc.Vec) -> None:
+        """Take over a matrix and a vector, which are freed with their owner."""
+        self.A, self.b, self._dx = A, b, b.duplicate()
+        compat.freed_with(owner, A, b, self._dx)
+        self._solver = PreparedSolver(self.recipe, A)
+        self._kept = KeptMatrix(A)
+        self.has_tangent = False
 
     def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
         """Of the tangent and of its transpose, attached to it."""

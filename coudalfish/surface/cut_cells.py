@@ -1,0 +1,133 @@
+"""Triangles that the zero line of a linear function divides, and weights that integrate over its two sides.
+
+Weights of a side are the projection of its indicator on polynomials of degree k, in the mean square: times any
+polynomial of degree k they have the integral of the side. As functions they are polynomials of degree k as well, so
+that any quadrature of degree 2 k in the whole cell integrates over the sides what has degree k.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import basix
+import numpy as np
+
+from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class CutCells:
+    """Triangles in which a nodal function has two signs; zero counts as positive.
+
+    Attributes:
+        cells: their numbers, ascending, shape (cut,).
+        values: the function at their vertices, shape (cut, 3).
+    """
+
+    cells: IntArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @classmethod
+    def of(cls, vertices: IntArray, phi: FloatArray) -> "CutCells":
+        """Those among triangles.
+
+        Args:
+            vertices: nodes at the vertices of all triangles, shape (cells, 3).
+            phi: the function at the nodes; where it is not a number nothing is cut.
+        """
+        values = phi[vertices]
+        negative = values < 0.0
+        mixed = negative.any(axis=1) & ~negative.all(axis=1) & np.isfinite(values).all(axis=1)
+        cells = np.flatnonzero(mixed).astype(np.int32)
+        return cls(cells, values[cells])
+
+    def only(self, chosen: Any) -> "CutCells":
+        """Some of them, by a mask of shape (cut,)."""
+        return CutCells(self.cells[chosen], self.values[chosen])
+
+    @cached_property
+    def _alone(self) -> tuple[IntArray, Any]:
+        """The vertex that is alone on its side, and whether that is the negative one."""
+        negative = self.values < 0.0
+        of_negative = negative.sum(axis=1) == 1
+        return np.where(of_negative, negative.argmax(axis=1), (~negative).argmax(axis=1)), of_negative
+
+    @cached_property
+    def corner(self) -> FloatArray:
+        """Barycentric coordinates of the triangle at that vertex, itself and both ends of the line, (cut, 3, 3)."""
+        lone, _ = self._alone
+        row = np.arange(len(lone))
+        result = np.zeros((len(lone), 3, 3))
+        result[row, 0, lone] = 1.0
+        for end in (1, 2):
+            other = (lone + end) % 3
+            phi = self.values[row, lone]
+            t = phi / (phi - self.values[row, other])
+            result[row, end, lone], result[row, end, other] = 1.0 - t, t
+        return result
+
+    @cached_property
+    def negative_share(self) -> FloatArray:
+        """Area of the negative side relative to the cell, shape (cut,)."""
+        lone, of_negative = self._alone
+        row = np.arange(len(lone))
+        share = (1.0 - self.corner[row, 1, lone]) * (1.0 - self.corner[row, 2, lone])
+        return np.where(of_negative, share, 1.0 - share)
+
+    @property
+    def smaller_share(self) -> FloatArray:
+        """Area of the smaller side relative to the cell, shape (cut,)."""
+        return np.minimum(self.negative_share, 1.0 - self.negative_share)
+
+    def line(self, corners: FloatArray) -> FloatArray:
+        """Ends of the zero line.
+
+        Args:
+            corners: vertices of all triangles, shape (cells, 3, d); unit: length.
+
+        Returns:
+            Shape (cut, 2, d).
+        """
+        return np.asarray(np.einsum("cev,cvi->cei", self.corner[:, 1:], corners[self.cells]))
+
+
+class SideWeights:
+    """Weights of the negative side of cut cells; those of the positive side are one minus them.
+
+    Args:
+        degree: k.
+        points: reference coordinates at which they are wanted, shape (points, 2).
+    """
+
+    def __init__(self, degree: int, points: FloatArray) -> None:
+        self._degree = checks.whole("degree", degree, 0)
+        x, weights = _rule(2 * degree)
+        V = self._monomials(x)
+        self._from_moments = self._monomials(points) @ np.linalg.inv(V.T @ (weights[:, None] * V))
+        self._whole = V.T @ weights
+        self._x, self._weights = _rule(max(degree, 1))
+
+    def _monomials(self, x: FloatArray) -> FloatArray:
+        """About the middle of the triangle, shape (..., monomials)."""
+        a, b = x[..., 0] - 1.0 / 3.0, x[..., 1] - 1.0 / 3.0
+        return np.stack([a**i * b ** (n - i) for n in range(self._degree + 1) for i in range(n + 1)], axis=-1)
+
+    def __call__(self, cut: CutCells) -> FloatArray:
+        """Weights at the points, shape (cut, points)."""
+        barycentric = np.column_stack([1.0 - self._x.sum(axis=1), self._x])
+        x = np.einsum("gm,cmv->cgv", barycentric, cut.corner)[..., 1:]
+        _, of_negative = cut._alone
+        share = np.where(of_negative, cut.negative_share, 1.0 - cut.negative_share)
+        moments = np.einsum("g,cgm->cm", self._weights, self._monomials(x)) * share[:, None]
+        moments = np.where(of_negative[:, None], moments, self._whole - moments)
+        return np.asarray(moments @ self._from_moments.T)
+
+
+def _rule(degree: int) -> tuple[FloatArray, FloatArray]:
+    """Quadrature points and weights on the reference triangle."""
+    x, weights = basix.make_quadrature(basix.CellType.triangle, degree)
+    return np.asarray(x), np.asarray(weights)

@@ -1,0 +1,149 @@
+"""Signed distance from curves in the plane: on which side of them a point lies.
+
+Behind a free end a curve is continued straight on, so that sides are defined there too.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from coudalfish.surface.sheets import Sheets
+from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Curves of straight segments, some closed, some with free ends.
+
+    Attributes:
+        x: positions of the points, shape (points, d); unit: length.
+        segments: pairs of neighbouring points, all in one direction along a curve, shape (segments, 2).
+        place: number of the place in which a point is, the same for points that a joint unites, shape (points,).
+    """
+
+    x: FloatArray
+    segments: IntArray
+    place: IntArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @classmethod
+    def of(cls, sheets: Sheets, x: FloatArray) -> "Curves":
+        """Curves through the points of a shell.
+
+        Args:
+            sheets: how they hang together.
+            x: their positions, shape (points, d); unit: length.
+        """
+        turned = sheets.sign[sheets.cells[:, 0]] < 0.0
+        segments = np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells)
+        return cls(x, segments, sheets.places)
+
+    @cached_property
+    def _tangents(self) -> tuple[FloatArray, FloatArray]:
+        """Unit tangents and lengths of the segments."""
+        arms = self.x[self.segments[:, 1]] - self.x[self.segments[:, 0]]
+        lengths = np.linalg.norm(arms, axis=1)
+        return arms / lengths[:, None], lengths
+
+    def _sums(self, values: FloatArray) -> FloatArray:
+        """Of the segments that meet at a place, at every point."""
+        total = np.zeros((self.place.max(initial=-1) + 1, values.shape[1]))
+        for end in (0, 1):
+            np.add.at(total, self.place[self.segments[:, end]], values)
+        return total[self.place]
+
+    @cached_property
+    def free(self) -> Any:
+        """Mask of the points at free ends, shape (points,)."""
+        return np.bincount(self.place[self.segments.ravel()], minlength=len(self.x))[self.place] == 1
+
+    @cached_property
+    def _normals(self) -> tuple[FloatArray, FloatArray]:
+        """Unit normals of the segments, and their sums at the points."""
+        tangents, _ = self._tangents
+        normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
+        return normals, self._sums(normals)
+
+    @cached_property
+    def _middles(self) -> cKDTree:
+        return cKDTree(self.x[self.segments].mean(axis=1))
+
+    def _nearest(self, x: FloatArray, reach: float) -> "_Nearest":
+        """Nearest places of the curves to points that are not farther than a distance."""
+        tangents, lengths = self._tangents
+        radius = reach + 0.5 * float(lengths.max(initial=0.0))
+        near = cKDTree(x).sparse_distance_matrix(self._middles, radius, output_type="ndarray")
+        i, k = near["i"], near["j"]
+        arms = x[i] - self.x[self.segments[k, 0]]
+        along = np.clip((arms * tangents[k]).sum(axis=1), 0.0, lengths[k])
+        gap = arms - along[:, None] * tangents[k]
+        distance = np.linalg.norm(gap, axis=1)
+        order = np.lexsort((distance, i))
+        best = order[np.unique(i[order], return_index=True)[1]]
+        best = best[distance[best] <= reach]
+        i, k, along = i[best], k[best], along[best]
+        corner = np.where(along <= 0.0, self.segments[k, 0], np.where(along >= lengths[k], self.segments[k, 1], -1))
+        return _Nearest(i, k, corner, gap[best], distance[best])
+
+    def signed_distance(self, x: FloatArray, reach: float) -> FloatArray:
+        """Distance from the nearest curve, positive on the side to which the normals point.
+
+        Args:
+            x: points, shape (m, d); unit: length.
+            reach: farther points get none; unit: length.
+
+        Returns:
+            Shape (m,), not a number where a point is farther; beyond a free end the distance from the straight line
+            that continues it. Unit: length.
+        """
+        near, (of_segments, of_points) = self._nearest(x, reach), self._normals
+        at_corner = near.corner >= 0
+        normal = np.where(at_corner[:, None], of_points[near.corner], of_segments[near.segment])
+        side = (near.gap * normal).sum(axis=1)
+        beyond = at_corner & self.free[near.corner]
+        result = np.full(len(x), np.nan)
+        result[near.point] = np.where(beyond, side, np.where(side < 0.0, -near.distance, near.distance))
+        return result
+
+    def near_ends(self, x: FloatArray, reach: float) -> Any:
+        """Mask of the points that are not farther than a distance from a free end, shape (m,)."""
+        if not self.free.any():
+            return np.zeros(len(x), dtype=bool)
+        return cKDTree(self.x[self.free]).query(x)[0] <= reach
+
+    def covers(self, x: FloatArray, reach: float) -> Any:
+        """Whether the nearest place of the curves is not beyond a free end, shape (m,).
+
+        Args:
+            x: points, shape (m, d); unit: length.
+            reach: farther points are not covered; unit: length.
+        """
+        near = self._nearest(x, reach)
+        result = np.zeros(len(x), dtype=bool)
+        result[near.point] = (near.corner < 0) | ~self.free[near.corner] | (near.distance == 0.0)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Nearest:
+    """Nearest places of curves.
+
+    Attributes:
+        point: to which points, ascending.
+        segment: on which segments.
+        corner: the points of the curves there, -1 within a segment.
+        gap: from there to the points, shape (near, d); unit: length.
+        distance: its length.
+    """
+
+    point: IntArray
+    segment: IntArray
+    corner: IntArray
+    gap: FloatArray
+    distance: FloatArray

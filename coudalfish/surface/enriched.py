@@ -1,0 +1,120 @@
+"""Which nodes of a fluid's mesh get unknowns for what is different on both sides of a curve.
+
+A pressure jumps at a node whose cells the curve divides into two parts. A velocity is kinked at every node of a cell
+that is cut. At free ends a node takes part if the curve covers at least half of the zero line in its cells: where two
+ends touch the surface is tight, and a gap of a cell and more lets the fluid through.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from dolfinx import fem
+
+from coudalfish.surface.cut_cells import CutCells
+from coudalfish.surface.distance import Curves
+from tigar_x import checks, compat
+from tigar_x.compat import FloatArray
+
+DIVIDED = 1e-5
+"""Share of the area of a node's cells that each part has to have for its pressure to jump."""
+SLIVER = 1e-6
+"""Share of a cell below which its velocity is not kinked: it bends as good as nowhere."""
+COVERED = 0.5
+"""Share of the zero line in a node's cells that the curve has to cover."""
+ROUNDED = 1e-9
+"""Part of that share that sums in another order may lack."""
+OFF_LINE = 1.0 / 3.0
+"""Distance of the zero line from the curve, relative to that of the cell's farthest node, beyond which it is another
+line: half way between two curves the sign changes as well. They are told apart when they are two cells apart."""
+SAMPLES = 16
+"""Places at which a piece of the zero line near a free end is asked whether the curve covers it."""
+REACH = 4.0
+"""Distance from the curve and its ends, in sizes of the largest cell, up to which sides are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Enrichment:
+    """What a curve does to a mesh.
+
+    Attributes:
+        phi: signed distance at the nodes, not a number far away, shape (nodes,); unit: length.
+        cut: cells in which one of the nodes is enriched, ghosts as well.
+        jump: mask of the nodes at which the pressure jumps, shape (nodes,).
+        kink: mask of the nodes at which the velocity is kinked, shape (nodes,).
+    """
+
+    phi: FloatArray
+    cut: CutCells
+    jump: Any
+    kink: Any
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+
+class Enriching:
+    """Finds the enrichment of a mesh of triangles by curves.
+
+    Args:
+        space: scalar linear space of the mesh.
+        kinked: whether velocities are kinked; pressures always jump.
+    """
+
+    def __init__(self, space: fem.FunctionSpace, *, kinked: bool) -> None:
+        self._kinked, self._sum = kinked, fem.Function(space)
+        self.vertices = compat.cell_dofs(space)
+        self.x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
+        self.corners = self.x[self.vertices]
+        arms = self.corners[:, 1:] - self.corners[:, :1]
+        self._areas = 0.5 * np.abs(np.linalg.det(arms))
+        size = float(np.linalg.norm(arms, axis=2).max(initial=0.0))
+        self._largest = space.mesh.comm.allreduce(size, op=MPI.MAX)
+        self._owned = compat.owned_cells(space.mesh)
+        self._support = self._total(np.arange(self._owned), np.repeat(self._areas[: self._owned, None], 3, axis=1))
+
+    def _total(self, cells: Any, values: FloatArray) -> FloatArray:
+        """Sums at nodes of values at the vertices of cells that this rank owns (collective)."""
+        array = self._sum.x.array
+        array[:] = np.bincount(self.vertices[cells].ravel(), values.ravel(), len(array))
+        compat.accumulate(self._sum)
+        return np.asarray(array.copy())
+
+    def __call__(self, curves: Curves) -> Enrichment:
+        """By curves where they are (collective)."""
+        phi = curves.signed_distance(self.x, REACH * self._largest)
+        cut = self._real(CutCells.of(self.vertices, phi), curves)
+        mine = cut.only(cut.cells < self._owned)
+        negative = self.vertices[mine.cells]
+        other = np.where(phi[negative] < 0.0, 1.0 - mine.negative_share[:, None], mine.negative_share[:, None])
+        other = self._total(mine.cells, other * self._areas[mine.cells, None])
+        jump = (other > DIVIDED * self._support) & (other < (1.0 - DIVIDED) * self._support)
+        covered = self._covered(mine, curves)
+        jump &= covered
+        kink = np.zeros_like(jump)
+        if self._kinked:
+            bent = np.repeat(mine.smaller_share[:, None] > SLIVER, 3, axis=1)
+            kink = (self._total(mine.cells, bent.astype(np.float64)) > 0.0) & covered
+        concerned = (jump | kink)[self.vertices[cut.cells]].any(axis=1)
+        return Enrichment(phi, cut.only(concerned), jump, kink)
+
+    def _real(self, cut: CutCells, curves: Curves) -> CutCells:
+        """Those that a curve or its continuation cuts, not the middle line between two curves."""
+        middle = cut.line(self.corners).mean(axis=1)
+        off = np.abs(curves.signed_distance(middle, REACH * self._largest))
+        return cut.only(off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0))
+
+    def _covered(self, cut: CutCells, curves: Curves) -> Any:
+        """Mask of the nodes in whose cells the curve covers enough of the zero line (collective)."""
+        ends = cut.line(self.corners)
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        share = np.ones(len(lengths))
+        near = np.flatnonzero(curves.near_ends(ends.mean(axis=1), 2.0 * self._largest))
+        at = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
+        x = ends[near, None, 0] + at * (ends[near, None, 1] - ends[near, None, 0])
+        covered = curves.covers(x.reshape(-1, x.shape[2]), REACH * self._largest)
+        share[near] = covered.reshape(-1, SAMPLES).mean(axis=1)
+        whole = self._total(cut.cells, np.repeat(lengths[:, None], 3, axis=1))
+        found = self._total(cut.cells, np.repeat((lengths * share)[:, None], 3, axis=1))
+        return found >= COVERED * (1.0 - ROUNDED) * whole

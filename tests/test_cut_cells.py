@@ -1,0 +1,186 @@
+"""Curves that cut a mesh of triangles: sides, weights of the sides, and the nodes that are enriched."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from dolfinx import mesh
+
+from coudalfish.surface.cut_cells import CutCells, SideWeights
+from coudalfish.surface.distance import Curves
+from coudalfish.surface.enriched import Enriching
+from tigar_x import compat
+
+COMM = MPI.COMM_WORLD
+
+
+def polyline(x, closed=False):
+    x = np.asarray(x, dtype=float)
+    n = len(x)
+    ends = np.arange(n if closed else n - 1)
+    return Curves(x, np.column_stack([ends, (ends + 1) % n]), np.arange(n))
+
+
+def several(*curves):
+    """Curves side by side."""
+    counts = np.cumsum([0] + [len(curve.x) for curve in curves[:-1]])
+    x = np.concatenate([curve.x for curve in curves])
+    segments = np.concatenate([curve.segments + count for curve, count in zip(curves, counts, strict=True)])
+    return Curves(x, segments, np.arange(len(x)))
+
+
+def circle(radius=0.3, n=200, center=(0.51, 0.52)):
+    angle = 2.0 * np.pi * np.arange(n) / n
+    return polyline(np.array(center) + radius * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
+
+
+def enriching(n=10, comm=COMM, kinked=True):
+    space = compat.lagrange_space(mesh.create_unit_square(comm, n, n), 1)
+    return Enriching(space, kinked=kinked)
+
+
+def integral(f, corners):
+    """Over a triangle, by a rule that is exact for all that is tested here."""
+    at, weights = np.polynomial.legendre.leggauss(8)
+    at, weights = 0.5 * (at + 1.0), 0.5 * weights
+    u, v = (part.ravel() for part in np.meshgrid(at, at))
+    w = np.outer(weights, weights).ravel() * v
+    x = corners[0] + np.outer(v * (1.0 - u), corners[1] - corners[0]) + np.outer(v * u, corners[2] - corners[0])
+    return abs(np.linalg.det(corners[1:] - corners[0])) * (w @ f(*x.T))
+
+
+SIGNS = [(-1.0, 2.0, 3.0), (1.0, -2.0, -0.5), (0.3, 0.7, -1e-4), (-1e-9, 1.0, 1.0), (-1.0, 0.0, 2.0), (-3.0, -1.0, 0.0)]
+
+
+@pytest.mark.parametrize("degree", [1, 2, 4])
+@pytest.mark.parametrize("values", SIGNS)
+def test_weights_integrate_over_the_side(values, degree):
+    """Times all polynomials of degree k, at the points of any rule of degree 2 k, as over the side itself."""
+    import basix
+
+    x, w = (np.asarray(part) for part in basix.make_quadrature(basix.CellType.triangle, 2 * degree))
+    cut = CutCells.of(np.array([[0, 1, 2]]), np.array(values))
+    c = SideWeights(degree, x)(cut)[0]
+    vertices = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    corner = cut.corner[0] @ vertices
+    alone = np.flatnonzero((np.array(values) < 0.0) == (np.sum(np.array(values) < 0.0) == 1))
+    negative_alone = np.sum(np.array(values) < 0.0) == 1
+    assert len(alone) == 1
+    for i in range(degree + 1):
+        for j in range(degree + 1 - i):
+
+            def f(a, b, i=i, j=j):
+                return a**i * b**j
+
+            at_corner = integral(f, corner)
+            side = at_corner if negative_alone else integral(f, vertices) - at_corner
+            np.testing.assert_allclose(w @ (c * f(*x.T)), side, atol=2e-15)
+    np.testing.assert_allclose(cut.negative_share, 2.0 * (w @ c), atol=1e-14)
+
+
+def test_zero_counts_as_positive_and_what_is_unknown_is_not_cut():
+    phi = np.array([0.0, 1.0, 2.0, -1.0, np.nan])
+    cut = CutCells.of(np.array([[0, 1, 2], [0, 1, 3], [3, 1, 4]]), phi)
+    np.testing.assert_array_equal(cut.cells, [1])
+    np.testing.assert_allclose(CutCells.of(np.array([[0, 3, 3]]), phi).negative_share, 1.0)
+
+
+def test_sides_of_a_closed_curve():
+    x = np.random.default_rng(5).uniform(0.0, 1.0, (300, 2))
+    r = np.linalg.norm(x - [0.51, 0.52], axis=1)
+    phi = circle().signed_distance(x, 10.0)
+    np.testing.assert_allclose(phi, 0.3 - r, atol=1e-4)  # it turns left, and its normals point inwards
+    assert np.isnan(circle().signed_distance(np.array([[0.51, 0.52], [0.51, 0.80]]), 0.1)[0])
+    assert not circle().free.any()
+
+
+def test_a_curve_goes_straight_on_beyond_its_ends():
+    curve = polyline([[0.2, 0.5], [0.4, 0.5], [0.5, 0.6]])
+    x = np.array([[0.0, 0.7], [0.0, 0.3], [0.6, 0.8], [0.8, 0.8], [0.3, 0.45]])
+    assert curve.covers(np.array([[0.41, 0.47]]), 1.0).all()  # nearest is the corner, at which the curve goes on
+    np.testing.assert_allclose(curve.signed_distance(x, 1.0), [0.2, -0.2, 0.1 / 2**0.5, -0.1 / 2**0.5, -0.05])
+    np.testing.assert_array_equal(curve.covers(x, 1.0), [False, False, False, False, True])
+    np.testing.assert_array_equal(curve.near_ends(x, 0.25), [False, False, True, False, True])
+
+
+def test_corners_have_the_side_of_both_segments():
+    """At a sharp corner the normals of one segment alone put points on the wrong side."""
+    curve = polyline([[0.0, 0.0], [0.5, 0.1], [0.0, 0.2]])
+    np.testing.assert_array_equal(np.sign(curve.signed_distance(np.array([[0.6, 0.05], [0.6, 0.15]]), 1.0)), -1.0)
+
+
+def test_patches_that_are_parametrised_against_each_other_have_one_side():
+    from coudalfish.surface.sheets import Sheets
+    from tigar_x.geometry import shapes
+    from tigar_x.geometry.gluing import glued
+    from tigar_x.splines.spline import ExtractedSpline
+
+    parts = [shapes.line((0.1, 0.5), (0.5, 0.5), elements=4), shapes.line((0.9, 0.5), (0.5, 0.5), elements=4)]
+    sheets = Sheets.of(ExtractedSpline(glued(*parts), MPI.COMM_SELF))
+    curves = Curves.of(sheets, sheets.X)
+    phi = curves.signed_distance(np.array([[0.2, 0.6], [0.8, 0.6], [0.5, 0.6]]), 1.0)
+    np.testing.assert_allclose(np.abs(phi), 0.1)
+    assert len(set(np.sign(phi))) == 1
+    np.testing.assert_allclose(np.sort(curves.x[curves.free, 0]), [0.1, 0.9])
+
+
+@pytest.mark.mpi
+def test_sides_of_a_closed_curve_have_its_areas_and_every_node_is_enriched():
+    e = enriching(12)
+    found = e(circle())
+    mine = found.cut.only(found.cut.cells < len(e.vertices[: compat.owned_cells(e._sum.function_space.mesh)]))
+    areas = 0.5 * np.abs(np.linalg.det(e.corners[mine.cells][:, 1:] - e.corners[mine.cells][:, :1]))
+    known = np.isfinite(found.phi)
+    outside = (found.phi < 0.0) | (~known & (np.linalg.norm(e.x - [0.51, 0.52], axis=1) > 0.3))
+    whole = np.ones(len(e.vertices), dtype=bool)
+    whole[found.cut.cells] = False
+    whole[compat.owned_cells(e._sum.function_space.mesh) :] = False
+    uncut = 0.5 * np.abs(np.linalg.det(e.corners[whole][:, 1:] - e.corners[whole][:, :1]))
+    inside = (areas * (1.0 - mine.negative_share)).sum() + uncut[~outside[e.vertices[whole]].any(axis=1)].sum()
+    np.testing.assert_allclose(COMM.allreduce(float(inside)), np.pi * 0.3**2, rtol=0.02)
+    assert found.jump[e.vertices[mine.cells]].all()
+    assert found.kink[e.vertices[mine.cells]].all()
+    assert not enriching(12, kinked=False)(circle()).kink.any()
+
+
+@pytest.mark.mpi
+def test_all_partitions_enrich_the_same_nodes():
+    for curve in (circle(), polyline([[0.11, 0.2], [0.5, 0.43], [0.77, 0.81]])):
+        masks = []
+        for comm in (COMM, MPI.COMM_SELF):
+            e = enriching(9, comm)
+            found = e(curve)
+            index = np.round(e.x * 9).astype(int) @ [10, 1]
+            both = np.zeros((2, 100))
+            both[:, index] = found.jump, found.kink
+            masks.append(comm.allreduce(both, op=MPI.SUM) > 0)
+        np.testing.assert_array_equal(*masks)
+
+
+def test_along_mesh_lines_pressures_jump_at_the_line_and_velocities_are_not_kinked():
+    e = enriching(10)
+    found = e(polyline([[0.5, 0.0], [0.5, 1.0]]))
+    np.testing.assert_array_equal(np.flatnonzero(found.jump), np.flatnonzero(np.abs(e.x[:, 0] - 0.5) < 1e-9))
+    assert not found.kink.any()
+    moved = e(polyline([[0.5 + 1e-7, 0.0], [0.5 + 1e-7, 1.0]]))
+    np.testing.assert_array_equal(moved.jump, found.jump)
+
+
+@pytest.mark.parametrize(("gap", "closed"), [(0.0, True), (0.4, True), (3.0, False)])
+def test_small_gaps_between_free_ends_are_closed_and_wide_ones_open(gap, closed):
+    h, y = 0.1, 0.533
+    left, right = 0.5 - 0.5 * gap * h, 0.5 + 0.5 * gap * h
+    whole = enriching(10)(polyline([[-0.1, y], [1.1, y]]))
+    parts = enriching(10)(several(polyline([[-0.1, y], [left, y]]), polyline([[right, y], [1.1, y]])))
+    assert np.array_equal(parts.kink, whole.kink) == closed
+    assert np.array_equal(parts.jump, whole.jump) == closed
+    assert not (parts.kink & ~whole.kink).any()
+
+
+@pytest.mark.parametrize("distance", [0.2, 0.27, 0.35])
+def test_nothing_is_cut_half_way_between_two_curves(distance):
+    """Between curves whose normals agree the sign of the nearest one changes."""
+    low, high = (polyline([[-0.1, y], [1.1, y]]) for y in (0.33, 0.33 + distance))
+    e = enriching(10)
+    found = e(several(low, high))
+    cells = np.sort(np.concatenate([e(curve).cut.cells for curve in (low, high)]))
+    np.testing.assert_array_equal(found.cut.cells, cells)

@@ -1,0 +1,87 @@
+"""Forms that are confined to some of their cells without another compilation."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from tigar_x import compat
+from varmint.mesh.named import box
+
+pytestmark = pytest.mark.mpi
+
+
+def scene():
+    """A square with two groups of facets, a function, a Constant, and a form of cells and facets."""
+    mesh = box(MPI.COMM_WORLD, (0.0, 0.0), (1.0, 1.0), (5, 5))
+    domain = mesh.domain
+    V = compat.lagrange_space(domain, 1, 3)
+    u, c = fem.Function(V, name="u"), compat.Constant(domain, 2.0)
+    u.x.array[:] = 1.0
+    w = ufl.TestFunction(V)
+    cells = c * ufl.inner(u, w) * mesh.dx(degree=2)
+    facets = u[0] * w[0] * mesh.ds("left", degree=2) + 3 * u[1] * w[1] * mesh.ds("left", "right", "bottom", degree=2)
+    return domain, mesh, u, c, cells, facets
+
+
+def total(form, V):
+    b = compat.create_vector(V)
+    compat.assemble_vector(b, form)
+    with b.localForm() as local:
+        return V.mesh.comm.allreduce(float(local.array_r.sum()), op=MPI.SUM)
+
+
+def middles(domain):
+    return compat.cell_vertices(domain).mean(axis=1)
+
+
+def test_cells_alone_are_integrated_over():
+    domain, _, u, c, cells, _ = scene()
+    form, V = compat.PartialForm(cells), u.function_space
+    x = middles(domain)
+    below = x[:, 1] < 0.4  # two of five rows
+    np.testing.assert_allclose(total(form.on(below), V), 2.0 * 3 * 0.4, rtol=1e-13)
+    np.testing.assert_allclose(total(form.on(~below), V), 2.0 * 3 * 0.6, rtol=1e-13)
+    c.value = 5.0
+    np.testing.assert_allclose(total(form.on(below), V), 5.0 * 3 * 0.4, rtol=1e-13)
+    assert total(form.on(np.zeros_like(below)), V) == 0.0
+
+
+def test_facets_follow_their_cells_and_keep_their_groups():
+    domain, _, u, _, cells, facets = scene()
+    form, V = compat.PartialForm(cells + facets), u.function_space
+    u.x.array[compat.component_space(V, 2)[1]] = 0.0
+    below = middles(domain)[:, 1] < 0.4
+    np.testing.assert_allclose(total(form.on(below), V), 2.0 * 2 * 0.4 + 0.4 + 3 * (0.4 + 0.4 + 1.0), rtol=1e-13)
+    np.testing.assert_allclose(total(form.on(~below), V), 2.0 * 2 * 0.6 + 0.6 + 3 * (0.6 + 0.6), rtol=1e-13)
+
+
+def test_parts_sum_to_the_whole_and_compile_nothing():
+    domain, _, u, _, cells, facets = scene()
+    tangent = compat.PartialForm(ufl.derivative(cells + facets, u))
+    A, B = compat.create_matrix(tangent.whole, "aij"), compat.create_matrix(tangent.whole, "aij")
+    compat.assemble_matrix(A, tangent.whole)
+    A.assemble()
+    chosen = np.random.default_rng(1).random(len(middles(domain))) < 0.3
+    before = len(compat.compiled_forms())
+    for mask in (chosen, ~chosen):
+        part = A.duplicate()
+        compat.assemble_matrix(part, tangent.on(mask))
+        part.assemble()
+        B.assemble()
+        B.axpy(1.0, part)
+    assert len(compat.compiled_forms()) == before
+    assert A.norm() > 0.1
+    B.axpy(-1.0, A)
+    assert B.norm() < 1e-14
+
+
+def test_what_cannot_be_confined_is_refused():
+    mesh = box(MPI.COMM_WORLD, (0.0, 0.0), (1.0, 1.0), (3, 3))
+    V = compat.lagrange_space(mesh.domain, 1)
+    u, w = fem.Function(V), ufl.TestFunction(V)
+    with pytest.raises(ValueError, match="interior_facet"):
+        compat.PartialForm(ufl.avg(u) * ufl.avg(w) * ufl.dS(domain=mesh.domain))
+    with pytest.raises(ValueError, match="tags are required"):
+        compat.PartialForm(u * w * mesh.ds(degree=2))
