@@ -269,13 +269,12 @@ class CouDALFISh(checks.Made):
 
     def _save(self) -> Callable[[], None]:
         """Remember what a step changes before it is accepted; the integrators' old states are not among it."""
-        band = self.fluid.band
-        scales = () if band is None else (band.scale_m, band.scale_c)
-        fields = [function.x.array for function in (*(integrator.x for integrator in self.integrators), *scales)]
-        saved = [array.copy() for array in fields]
+        fields = [function.x.array for integrator in self.integrators for function in integrator.unknowns]
+        saved, bring_back = [array.copy() for array in fields], self.fluid.remember()
         lam, floors, cells = self.lam, self.floors, self.locator.cells
 
         def restore() -> None:
+            bring_back()
             for array, value in zip(fields, saved, strict=True):
                 array[:] = value
             self.lam, self.floors, self.locator.cells = lam, floors, cells

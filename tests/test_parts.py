@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 
 from tigar_x import compat
 from varmint.mesh.named import box

@@ -14,9 +14,11 @@ from coudalfish.sides.handover import check_band, check_needs, check_residual
 from coudalfish.sides.mesh_motion import MovingMesh, check_displacement
 from coudalfish.sides.scales import largest_speed, median_size
 from coudalfish.surface.band import SurfaceBand
+from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.linear import LinearSolver, automatic, chosen
 from tigar_x.fem.solve import FiniteElementSystem, RankOne
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -46,7 +48,8 @@ class FluidSubproblem:
 
     Attributes:
         mesh_size: h, as given or the median over the cells of their shortest edges, at rest; unit: length.
-        free: mask of the velocities that no strong condition holds, shape (nodes, d).
+        trace_dofs: local dofs of the velocities that a trace may stand for, shape (nodes, d).
+        free: mask of those that no strong condition holds, shape (nodes, d).
         moving: as given.
 
     Raises:
@@ -106,25 +109,84 @@ class FluidSubproblem:
 
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
         recipe = chosen(solver, automatic(size * block, blocked=block > 1), "fluid_")
-        self.system = FiniteElementSystem(
-            residual_f, timeInt_f.x, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one,
-            prefix="fluid_",
-        )  # fmt: skip
+        self.system = self._make_system(
+            residual_f, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one, prefix="fluid_"
+        )
         self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
-        owned = self.system.b.getLocalSize()
-        self._is_velocity = np.zeros(owned)
-        self._is_velocity[self.velocity_dofs[self.velocity_dofs < owned]] = 1.0
-        self._product, self._reference = self.system.b.duplicate(), 0.0
+        self.trace_dofs, self._reference = self.velocity_dofs, 0.0
+        self._measure()
+
+    def _make_system(self, residual: ufl.Form, bcs: Sequence[Any], **options: Any) -> FiniteElementSystem:
+        return FiniteElementSystem(residual, self.timeInt.x, bcs, **options)
+
+    def _measure(self) -> None:
+        """What norms of the system's vectors are made with, which have to be made anew when those are others."""
+        marks = np.zeros(self.system.local_size)
+        marks[self.trace_dofs] = 1.0
+        self._is_velocity = self.system.owned(marks)
+        self._product = self.system.b.duplicate()
 
     def __repr__(self) -> str:
         parts = [f"{compat.unknowns(self.timeInt.x.function_space)} unknowns in {self.mesh.geometry.dim}D"]
         parts += [word for word, part in (("band", self.band), ("moving mesh", self.moving)) if part is not None]
         return f"FluidSubproblem({', '.join(parts)})"
 
+    def place(self, meeting: Meeting, sheets: Sheets, x: FloatArray, *, scale_m: float, scale_c: float) -> Meeting:
+        """Prepare the flow for a surface that has been placed in it (collective).
+
+        Args:
+            meeting: where it meets the fluid.
+            sheets: how its points hang together.
+            x: their positions, shape (points, d); unit: length.
+            scale_m: factor of tau_M near the surface.
+            scale_c: divisor of tau_C there.
+
+        Returns:
+            The meeting as the flow's fields have it.
+        """
+        if self.band is not None:
+            self.band.update(meeting.location, scale_m=scale_m, scale_c=scale_c)
+        return meeting
+
+    def remember(self) -> Callable[[], None]:
+        """Remember what :meth:`place` changes; the result brings it back."""
+        scales = () if self.band is None else (self.band.scale_m, self.band.scale_c)
+        saved = [scale.x.array.copy() for scale in scales]
+
+        def bring_back() -> None:
+            for scale, values in zip(scales, saved, strict=True):
+                scale.x.array[:] = values
+
+        return bring_back
+
+    def _levels(self) -> tuple[FloatArray, FloatArray]:
+        """Unknowns at the end of the step and at its start, local dofs."""
+        return self.timeInt.x.x.array, self.timeInt.x_old.x.array
+
+    def names(self, nodes: IntArray) -> IntArray:
+        """Names that all ranks have for nodes of a trace.
+
+        Args:
+            nodes: local nodes.
+        """
+        return np.asarray(self.velocity_space.dofmap.index_map.local_to_global(nodes.astype(np.int32)))
+
+    def owned_nodes(self, names: IntArray) -> IntArray:
+        """Local nodes by their names, -1 where another rank owns them."""
+        own = self.velocity_space.dofmap.index_map
+        local = names - own.local_range[0]
+        return np.where((local >= 0) & (local < own.size_local), local, -1)
+
+    def diagonal(self) -> FloatArray:
+        """Diagonal of the tangent at local dofs, ghosts as well (collective)."""
+        self.system.A.getDiagonal(self._product)
+        return self.system.to_local(self._product)
+
     def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""
-        dofs, a = self.velocity_dofs[trace.nodes], self.timeInt.x_factor
-        local = trace.B @ (a * self.timeInt.x.x.array[dofs] + (1.0 - a) * self.timeInt.x_old.x.array[dofs])
+        dofs, a = self.trace_dofs[trace.nodes], self.timeInt.x_factor
+        x, x_old = self._levels()
+        local = trace.B @ (a * x[dofs] + (1.0 - a) * x_old[dofs])
         if self.comm.size == 1:
             return local
         total = np.empty_like(local)
@@ -142,7 +204,7 @@ class FluidSubproblem:
         Returns:
             ``sqrt(|R_momentum|^2 + impedance^2 |R_continuity|^2)``; unit: force.
         """
-        dofs = self.velocity_dofs[trace.nodes]
+        dofs = self.trace_dofs[trace.nodes]
         nodal = np.where(self.free[trace.nodes], trace.transposed @ forces, 0.0)
 
         def load(b: FloatArray) -> None:
@@ -167,7 +229,7 @@ class FluidSubproblem:
         """Size of the terms that balance in the flow but at outlets' resistances: tangent times state; unit: force."""
         if not self.system.has_tangent:
             return 0.0
-        self.system.A.mult(compat.petsc_vector(self.timeInt.x), self._product)
+        self.system.A.mult(self.system.state(), self._product)
         return self.norm(self.system.without_loads(self._product), 0.0)
 
     def assemble_tangent(self, trace: TraceMatrix, penalty_tangent: sp.csr_matrix) -> None:
@@ -179,7 +241,7 @@ class FluidSubproblem:
         """
 
         def add(A: PETSc.Mat) -> None:
-            for dofs, free in zip(self.velocity_dofs[trace.nodes].T, self.free[trace.nodes].T, strict=True):
+            for dofs, free in zip(self.trace_dofs[trace.nodes].T, self.free[trace.nodes].T, strict=True):
                 K = penalty_tangent
                 if not free.all():
                     mask = sp.diags(free.astype(float))

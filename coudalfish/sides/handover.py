@@ -66,6 +66,10 @@ class Needs(Protocol):
     def scales(self) -> tuple[fem.Function, fem.Function] | None:
         """Factor of tau_M and divisor of tau_C near an immersed surface; None: they are not in its residual."""
 
+    @property
+    def sides(self) -> Any:
+        """What differs on both sides of an immersed surface; None: nothing."""
+
 
 @runtime_checkable
 class Demanding(Protocol):

@@ -6,6 +6,7 @@ surface's band, density and viscosity.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Protocol, cast
 
 import ufl
@@ -149,7 +150,7 @@ def flow_time(flow: ImmersedFlow) -> TimeIntegrator:
         raise ValueError("fluid is a steady flow (dt = None): one that advances in time is required")
     if not isinstance(time, Demanding):
         raise ValueError("fluid.time tells no needs of the flow: give its residual to a FluidSubproblem instead")
-    if time.needs.scales is None:
+    if time.needs.scales is None and time.needs.sides is None:
         raise ValueError("fluid was made without a surface in its equations: Flow(..., immersed=True) is required")
     return time
 
@@ -168,12 +169,17 @@ def fluid_side(flow: FluidSubproblem | ImmersedFlow, *, mesh_size: float | None 
         return flow
     time = flow_time(flow)
     domain, needs = time.x.function_space.mesh, cast(Demanding, time).needs
-    return FluidSubproblem(
+    kind: Any = FluidSubproblem
+    if needs.sides is not None:
+        from coudalfish.sides.sided_fluid import SidedFluid  # other flows need nothing of it
+
+        kind = partial(SidedFluid, sides=needs.sides)
+    made: FluidSubproblem = kind(
         domain,
         flow.residual,
         time,
         bcs=flow.bcs,
-        band=SurfaceBand(domain, needs.scales),
+        band=None if needs.scales is None else SurfaceBand(domain, needs.scales),
         moving=needs.moving,
         solver=needs.solver,
         tangent=flow.tangent,
@@ -184,6 +190,7 @@ def fluid_side(flow: FluidSubproblem | ImmersedFlow, *, mesh_size: float | None 
         viscosity=float(needs.mu.value),
         mesh_size=mesh_size,
     )
+    return made
 
 
 def shell_side(shell: ShellSubproblem | ImmersedShell) -> ShellSubproblem:

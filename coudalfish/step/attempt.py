@@ -146,10 +146,10 @@ class Step:
         x = ranks.first(self.comm, self.shell.positions())
         if not np.isfinite(x).all():
             raise RejectedStepError("shell", "the predicted positions are not finite")
-        meeting = self.meeting = self.meets(x, self.locator)
+        scales = {"scale_m": self.options.scale_m, "scale_c": self.options.scale_c}
+        meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, **scales)
+        self.meeting = meeting
         self.inactive, self.W, self.trace = int((~meeting.active).sum()), meeting.W, meeting.trace
-        if self.fluid.band is not None:
-            self.fluid.band.update(meeting.location, scale_m=self.options.scale_m, scale_c=self.options.scale_c)
         self.n = self.shell.normals()
         self.multiplier = self.method.begin(self)
         self.spacing = self.watch.spacing(x)

@@ -69,7 +69,7 @@ class Linearised:
     @cached_property
     def dofs(self) -> Any:
         """Dofs of the trace's nodes, shape (nodes, d)."""
-        return self.fluid.velocity_dofs[self.trace.nodes]
+        return self.fluid.trace_dofs[self.trace.nodes]
 
     @cached_property
     def free(self) -> FloatArray:
@@ -101,9 +101,11 @@ class Linearised:
         """Mask of the functions that act on nothing."""
         return np.asarray(self.H_t_W.multiply(self.H_t_W).sum(axis=1)).ravel() == 0.0
 
-    def to_nodes(self, b: FloatArray, forces: FloatArray) -> None:
-        """Add this rank's share of forces at the points to an array of local dofs with ghosts."""
-        b[self.dofs] += self.free * (self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1]))
+    def to_nodes(self, forces: FloatArray) -> FloatArray:
+        """This rank's share of forces at the points, at local dofs with ghosts."""
+        b = np.zeros(self.fluid.system.local_size)
+        b[self.dofs] = self.free * (self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1]))
+        return b
 
 
 class Preconditioner:
@@ -133,18 +135,17 @@ class Preconditioner:
     def _by_fluid(self) -> FloatArray:
         """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
         at, fluid = self.at, self.at.fluid
-        names = fluid.velocity_space.dofmap.index_map
         T = at.trace.B.tocoo()
-        share = T.row, names.local_to_global(at.trace.nodes.astype(np.int32))[T.col], T.data
+        share = T.row, fluid.names(at.trace.nodes)[T.col], T.data
         parts = [np.concatenate(part) for part in zip(*fluid.comm.allgather(share), strict=True)]
         nodes, column = np.unique(parts[1], return_inverse=True)
         whole = sp.csr_matrix((parts[2], (parts[0], column.ravel())), shape=(T.shape[0], len(nodes)))
-        own = nodes - names.local_range[0]
-        mine = (own >= 0) & (own < names.size_local)
-        diagonal = fluid.system.A.getDiagonal().array_r
+        own = fluid.owned_nodes(nodes)
+        mine = own >= 0
+        diagonal = fluid.diagonal()
         inverse = np.zeros((len(nodes), at.dofs.shape[1]))
-        dofs = fluid.velocity_dofs[own[mine]]
-        inverse[mine] = np.where(fluid.free[own[mine]], 1.0 / diagonal[dofs], 0.0)
+        dofs, free = fluid.trace_dofs[own[mine]], fluid.free[own[mine]]
+        inverse[mine] = np.where(free, 1.0 / np.where(free, diagonal[dofs], 1.0), 0.0)
         fluid.comm.Allreduce(MPI.IN_PLACE, inverse, op=MPI.SUM)
         WG = (at.W[:, None] * self._forces).reshape(T.shape[0], -1)
         C = (whole.T @ WG).reshape(inverse.size, self._forces.shape[1])
@@ -217,10 +218,7 @@ class CondensedSystem:
         """
         at = self.at
         z = at.a_P @ at.solve_shell(r_s)
-        with self._result.localForm() as local:
-            local.array_w[:] = 0.0
-            at.to_nodes(local.array_w, at.beta * at.W * z)
-        self._result.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        at.fluid.system.from_local(at.to_nodes(at.beta * at.W * z), self._result)
         rhs = self._rhs.array_w
         rhs[: self._n] = b_f.array_r + self._result.array_r
         if self._own:
@@ -257,9 +255,7 @@ class CondensedSystem:
         """The product with the matrix (collective)."""
         at, flow, result, given = self.at, self._flow, self._result, x.array_r
         flow.array_w[:] = given[: self._n]
-        flow.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
-        with flow.localForm() as local:
-            a = at.free * local.array_r[at.dofs]
+        a = at.free * at.fluid.system.to_local(flow)[at.dofs]
         v = np.zeros(len(at.W) + self._functions)  # velocities at the points, then coefficients: in one sum over ranks
         v[: len(at.W)] = (at.fluid.timeInt.x_factor * (at.trace.B @ a)).ravel()
         v[len(at.W) :][: self._own] = given[self._n :]
@@ -269,12 +265,9 @@ class CondensedSystem:
         traction = at.beta * v + at.H @ b
         w = at.a_P @ at.solve_shell(at.P_t_W @ traction)
         at.fluid.system.multiply(flow, result)
-        with self._vector.localForm() as local:
-            nodal = local.array_w
-            nodal[:] = 0.0
-            at.to_nodes(nodal, at.W * (traction - at.beta * w))
-            nodal[at.dofs] -= at.free * (at.part @ a)
-        self._vector.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        nodal = at.to_nodes(at.W * (traction - at.beta * w))
+        nodal[at.dofs] -= at.free * (at.part @ a)
+        at.fluid.system.from_local(nodal, self._vector)
         product = y.array_w
         product[: self._n] = result.array_r + self._vector.array_r
         if self._own:
@@ -287,10 +280,7 @@ class CondensedSystem:
         if self._comm.size > 1:
             self._comm.Bcast(r)
         b, forces = self.preconditioner.multiplier(r)
-        with self._result.localForm() as local:
-            local.array_w[:] = 0.0
-            at.to_nodes(local.array_w, -forces)
-        self._result.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        at.fluid.system.from_local(at.to_nodes(-forces), self._result)
         self._result.array_w[:] += given[: self._n]
         self.preconditioner.fluid.apply(self._result, self._vector)
         increment = y.array_w

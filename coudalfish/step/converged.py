@@ -55,7 +55,8 @@ class Converged:
         N = hat_functions(shell.spline, shell.sheets, shell.quadrature.weights, size)
         vector = options.multiplier_direction == "vector"
         self.functions = sp.csr_matrix(abs(N)) if vector else N  # a vector has no side
-        self.system = CondensedSystem(fluid, N.shape[1] * (shell.spline.nsd if vector else 1))
+        self._size = N.shape[1] * (shell.spline.nsd if vector else 1)
+        self.system, self._layout = CondensedSystem(fluid, self._size), fluid.system.layout
         self.preconditioner: Preconditioner | None = None
         self.iterations: int | None = None
 
@@ -67,6 +68,8 @@ class Converged:
 
     def prepared(self, at: Linearised) -> CondensedSystem:
         """The system at a state whose tangents have been assembled (collective)."""
+        if at.fluid.system.layout != self._layout:
+            self.system, self._layout = CondensedSystem(at.fluid, self._size), at.fluid.system.layout
         if self.preconditioner is None:
             self.preconditioner, self.iterations = Preconditioner(at), None
         self.preconditioner.at = self.system.at = at

@@ -39,6 +39,10 @@ class Meeting(Protocol):
     def penalty(self) -> tuple[sp.csr_matrix, FloatArray]:
         """Matrix E and areas w of a penalty's tangent ``E^T diag(beta w) E``, of the columns of the trace."""
 
+    @property
+    def means(self) -> sp.csr_matrix | None:
+        """From values at the rows of E to those of the trace; None: they are the same."""
+
     def vertex_functions(self) -> sp.csr_matrix:
         """Linear functions of the fluid mesh's vertices as the points see them (collective)."""
 
@@ -80,6 +84,10 @@ class AtPoints:
     def penalty(self) -> tuple[sp.csr_matrix, FloatArray]:
         """See :class:`Meeting`."""
         return self.trace.B, self.W
+
+    @property
+    def means(self) -> None:
+        """See there."""
 
     def vertex_functions(self) -> sp.csr_matrix:
         """See :class:`Meeting`."""

@@ -117,13 +117,11 @@ def assemble_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
 
 def add_vector(b: FloatArray, form: Any) -> None:
     """Add an assembled form to an array of local dofs, ghosts included, which are not summed."""
-    fem.assemble_vector(b, form)  # type: ignore[call-overload]
+    fem.assemble_vector(b, form)
 
 
 def add_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
-    """Add an assembled form to ``A``, and write ones into the diagonal at dofs of ``bcs``, whose rows and columns are
-    left alone otherwise; assembly is not finished.
-    """
+    """Add an assembled form to ``A`` but for rows and columns of ``bcs``, which get ones; assembly is not finished."""
     petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
 
 

@@ -97,10 +97,11 @@ class PartialForm:
         if VERSION < (0, 9):
             domains = {KINDS[kind]: found for kind, found in tags.items()}
             return type(whole)(whole.ufcx_form, *parts, domains, whole.mesh, cffi.FFI(), whole.code)
-        from dolfinx.fem.forms import get_integration_domains
-
+        forms: Any = fem.forms
         entities = {
-            KINDS[kind]: get_integration_domains(KINDS[kind], found, sorted(set(self._entities[kind][1].tolist())))
+            KINDS[kind]: forms.get_integration_domains(
+                KINDS[kind], found, sorted(set(self._entities[kind][1].tolist()))
+            )
             for kind, found in tags.items()
         }
         address: Any = whole.module.ffi.cast("uintptr_t", whole.module.ffi.addressof(whole.ufcx_form))
@@ -108,7 +109,7 @@ class PartialForm:
         if VERSION >= (0, 10):
             address, maps = [address], []
         made = type(whole._cpp_object)(address, *parts, entities, maps, whole.mesh)
-        return fem.forms.Form(made, whole.ufcx_form, whole.code, whole.module)
+        return forms.Form(made, whole.ufcx_form, whole.code, whole.module)
 
 
 def _tagged(integral: Any, data: dict[str, Any]) -> Any:

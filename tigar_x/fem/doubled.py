@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from petsc4py import PETSc
 
 from tigar_x import compat
@@ -197,6 +197,39 @@ class DoubledSystem(FiniteElementSystem):
             both[to, :m], both[to, m:] = first, second
             both[to, p] -= 0.5 * self._side[at] * second[:, p]
 
+    @property
+    def local_size(self) -> int:
+        """Number of local dofs, those of x and of e, ghosts as well."""
+        return 2 * len(self.x.x.array)
+
+    def owned(self, local: FloatArray) -> FloatArray:
+        """See :class:`tigar_x.fem.solve.FiniteElementSystem`."""
+        return self._owned(*np.split(local, 2))
+
+    def to_local(self, vector: PETSc.Vec) -> FloatArray:
+        """See :class:`tigar_x.fem.solve.FiniteElementSystem` (collective)."""
+        array, rows, m, work = vector.array_r, self._m * self._owned_nodes, self._m, self._number.x
+        parts = np.zeros((2, len(work.array)))
+        parts[0, :rows] = array[:rows]
+        parts[1].reshape(-1, m)[self._doubles] = array[rows:].reshape(-1, m)
+        if self._comm.size > 1:
+            for part in parts:
+                work.array[:] = part
+                work.scatter_forward()
+                part[:] = work.array
+        return parts.ravel()
+
+    def from_local(self, local: FloatArray, vector: PETSc.Vec) -> None:
+        """See :class:`tigar_x.fem.solve.FiniteElementSystem` (collective); what is no unknown gets zero."""
+        totals = []
+        for part in np.split(local, 2):
+            if self._comm.size > 1:
+                self._number.x.array[:] = part
+                compat.accumulate(self._number)
+                part = self._number.x.array.copy()
+            totals.append(part)
+        vector.array_w[:] = self._owned(totals[0], totals[1] * self.second.ravel())
+
     def _owned(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Unknowns of this rank out of local values of x and e."""
         m = self._m
@@ -221,17 +254,13 @@ class DoubledSystem(FiniteElementSystem):
         second.reshape(-1, m)[at, p] -= 0.5 * self._side[at] * both[:, p]
         if load is not None:
             load(array)
-        totals = []
-        for part in (first, second):
-            self._number.x.array[:] = part
-            compat.accumulate(self._number)
-            totals.append(self._number.x.array.copy())
-        totals[0][self.constrained] = 0.0
-        self.b.array_w[:] = self._owned(totals[0], totals[1] * self.second.ravel())
+        self.from_local(array, self.b)
+        held = self.constrained[self.constrained < m * self._owned_nodes]
+        self.b.array_w[held] = 0.0
         return float(self.b.norm())
 
     def assemble_tangent(self, add: Any = None) -> None:
-        """See :class:`tigar_x.fem.solve.FiniteElementSystem`; local indices of ``add`` as in :meth:`assemble_residual`."""
+        """See :class:`tigar_x.fem.solve.FiniteElementSystem`; ``add`` has the local dofs of x, then those of e."""
         A, flush = self.A, PETSc.Mat.AssemblyType.FLUSH
         self._kept.replacing()
         A.zeroEntries()

@@ -45,6 +45,7 @@ class FiniteElementSystem:
         recipe: linear solver recipe.
         iterations: linear iterations of the last solve.
         has_tangent: whether a tangent has been assembled.
+        layout: number of times that the vectors were made, with sizes that differ where the unknowns do.
 
     Raises:
         ValueError: an argument is of another kind, as where they come in another order.
@@ -72,7 +73,7 @@ class FiniteElementSystem:
         self.bcs = tuple(bcs)
         self.recipe = chosen(solver, direct(), prefix)
         self.constrained = compat.constrained_dofs(self.bcs)
-        self.iterations = 0
+        self.iterations = self.layout = 0
         self._make(residual, ufl.derivative(residual, x) if tangent is None else tangent)
         self._null = None if constant is None else self._null_space(constant)
         self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
@@ -93,6 +94,7 @@ class FiniteElementSystem:
         self._solver = PreparedSolver(self.recipe, A)
         self._kept = KeptMatrix(A)
         self.has_tangent = False
+        self.layout += 1
 
     def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
         """Of the tangent and of its transpose, attached to it."""
@@ -225,6 +227,31 @@ class FiniteElementSystem:
         x, sizes = compat.petsc_vector(self.x), None if self._resolution is None else self._resolution()
         low_rank = 0.0 if self._low_rank is None else self._low_rank.rounding(x)
         return rounding.ROUNDING * (rounding.of_tangent(self.A, x, sizes, self.constrained) + low_rank)
+
+    @property
+    def local_size(self) -> int:
+        """Number of local dofs, ghosts as well."""
+        return len(self.x.x.array)
+
+    def owned(self, local: FloatArray) -> FloatArray:
+        """This rank's entries of a vector of the system out of values at local dofs, ghosts as well."""
+        return local[: self.b.getLocalSize()]
+
+    def to_local(self, vector: PETSc.Vec) -> FloatArray:
+        """A vector of the system at local dofs, ghosts as well (collective), shape (local size,)."""
+        vector.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+        with vector.localForm() as local:
+            return local.array_r.copy()
+
+    def from_local(self, local: FloatArray, vector: PETSc.Vec) -> None:
+        """Overwrite a vector of the system by contributions of all ranks to local dofs (collective)."""
+        with vector.localForm() as form:
+            form.array_w[:] = local
+        vector.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+
+    def state(self) -> PETSc.Vec:
+        """The unknown as a vector of the system."""
+        return compat.petsc_vector(self.x)
 
     def subtract(self, increment: PETSc.Vec) -> None:
         """Subtract an increment from the unknown, ghosts included."""

@@ -167,11 +167,8 @@ class TimeIntegrator:
         """
         c = self._c
         slope = xdot - c["a1"] * self.xdot_old
-        if self.scheme.order == 2:
-            slope = slope - c["a2"] * self.dt * self.xddot_old
+        slope = slope - c["a2"] * self.dt * self.xddot_old if self.scheme.order == 2 else slope
         return self.x_old + self.dt / c["a0"] * slope
-
-    # -- the same on arrays -------------------------------------------------------------------------------------------
 
     def rates(self) -> tuple[FloatArray, ...]:
         """First (and second) rate at the end of the step, local dofs with ghosts."""
@@ -217,8 +214,6 @@ class TimeIntegrator:
         s = self.scheme
         return (s.alpha_m if s.order == 1 else s.alpha_f) * s.a0 / self.step_size
 
-    # -- stepping -----------------------------------------------------------------------------------------------------
-
     def predict(self) -> None:
         """Same-velocity predictor: x_n in first-order systems, the x that keeps x' = x'_n in second-order ones."""
         self.in_step = True
@@ -227,6 +222,11 @@ class TimeIntegrator:
         if s.order == 2:
             slope = (1.0 - s.a1) * self.xdot_old.x.array - s.a2 * h * self.xddot_old.x.array
             self.x.x.array[:] += h / s.a0 * slope
+
+    @property
+    def unknowns(self) -> tuple[fem.Function, ...]:
+        """All that a step solves for."""
+        return (self.x,)
 
     @property
     def state(self) -> dict[str, fem.Function]:

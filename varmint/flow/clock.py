@@ -29,6 +29,7 @@ class FlowNeeds:
         rho: density.
         mu: viscosity.
         scales: factor of tau_M and divisor of tau_C near an immersed surface, cell by cell; None: there is none.
+        sides: what differs on both sides of one, see :class:`varmint.flow.sides.FlowSides`; None: nothing.
     """
 
     updates: tuple[Callable[[float], None], ...]
@@ -41,6 +42,7 @@ class FlowNeeds:
     rho: fem.Constant
     mu: fem.Constant
     scales: tuple[fem.Function, fem.Function] | None
+    sides: Any
 
 
 class FlowTime(TimeIntegrator):

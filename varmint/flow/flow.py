@@ -6,7 +6,7 @@ first solve. A flow that is made for it (``immersed=True``) can be given to a co
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import ufl
 
@@ -64,7 +64,8 @@ class Flow(checks.Made):
         moving: motion of the mesh, with the same time step and scheme; None: it is fixed.
         solid: elastic solid in some cells of the mesh, which ``moving`` has to leave out; None: fluid alone.
         immersed: whether a surface may be immersed in the flow, whose equations then have factors of the stabilisation
-            parameters near it.
+            parameters near it; or what differs on both sides of it instead, the "jump" of the pressure, or the "jump
+            and kink" of pressure and velocity: of degree 1 on triangles whose mesh does not move.
         options: see there.
 
     Attributes:
@@ -79,7 +80,8 @@ class Flow(checks.Made):
         p: pressure, UFL.
         terms: parts of the residual, each with the facet groups of its condition, "fluid" or "solid".
         scales: factor of tau_M and divisor of tau_C near an immersed surface, cell by cell, one until a coupler sets
-            them; None: no surface.
+            them; None: no surface, or one at which the fields differ.
+        sides: what differs on both sides of an immersed surface; None: nothing.
         updates: to be called with t_alpha at the start of every step by whoever steps the flow.
         is_closed: whether no boundary is open and no solid compressible, so that a constant of the pressure remains.
 
@@ -108,7 +110,7 @@ class Flow(checks.Made):
         f: Data = None,
         moving: PrescribedMotion | ElasticMotion | None = None,
         solid: Solid | None = None,
-        immersed: bool = False,
+        immersed: bool | Literal["jump", "jump and kink"] = False,
         options: FlowOptions | None = None,
     ) -> None:
         self.options = FlowOptions() if options is None else options
@@ -118,14 +120,16 @@ class Flow(checks.Made):
         check_numbers(rho, mu, dt, scheme, moving, solid)
         check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving
+        kind = checks.choice("immersed", immersed, (False, True, "jump", "jump and kink"))
         state = FlowState.at_rest(
-            mesh, rho, mu, degree=degree, dt=dt, scheme=scheme, moving=moving, solid=solid, options=self.options
-        )
+            mesh, rho, mu, degree=degree, dt=dt, scheme=scheme, moving=moving, solid=solid,
+            is_sided=isinstance(kind, str), options=self.options,
+        )  # fmt: skip
         self._state, self.V, self.w, self.time, self.fields = state, state.V, state.w, state.time, state.fields
         self.rho, self.mu, self.v, self.p = self.fields.rho, self.fields.mu, self.fields.v, self.fields.p
         force = None if f is None else self.fields.vector("f", f)
         self._solid = SolidInFlow(solid, state, moving, force) if solid and isinstance(moving, ElasticMotion) else None
-        self.scales = surface_scales(mesh.domain) if checks.flag("immersed", immersed) else None
+        self.scales = surface_scales(mesh.domain) if kind is True else None
         self._interior = Interior(state, self.options, force, *((None, None) if self.scales is None else self.scales))
         self.terms: list[Term] = [(("fluid",), self._interior.residual(self.v))]
         follow = getattr(state.time, "follow", None)
@@ -135,14 +139,28 @@ class Flow(checks.Made):
             self.terms.append((("solid",), self._solid.residual))
         boundary, self._outlets = boundary_terms(self.conditions, state)
         self.terms += boundary
+        self.sides = self._sides(kind, solid) if isinstance(kind, str) else None
         values, self.updates = strong_values(self.conditions, state)
         self._bcs = values if self._solid is None else [self._solid.condition, *values]
         # a solid that can be compressed determines the pressure of a fluid that is enclosed with it
         self.is_closed = solid is None and not any(condition.is_open(self.fields) for condition in conditions)
         if self.time is not None:
             hooks, bcs, solver = (self.updates, self.before, self.rank_one), tuple(self._bcs), self.options.solver
-            self.time.needs = FlowNeeds(*hooks, bcs, moving, solver, self.is_closed, self.rho, self.mu, self.scales)
+            fluid, surface = (self.is_closed, self.rho, self.mu), (self.scales, self.sides)
+            self.time.needs = FlowNeeds(*hooks, bcs, moving, solver, *fluid, *surface)
         self._is_made = True
+
+    def _sides(self, kind: str, solid: Any) -> Any:
+        """What differs on both sides of a surface."""
+        from varmint.flow.sides import FlowSides, check_sides  # other flows need nothing of it
+
+        check_sides(self._state, self.conditions, kind, solid)
+        return FlowSides(self._state, self._interior, self.conditions, kind)
+
+    @property
+    def is_immersed(self) -> bool:
+        """Whether a surface may be immersed."""
+        return self.scales is not None or self.sides is not None
 
     def __repr__(self) -> str:
         return f"Flow({self._state.outline}, {'; '.join(map(str, self.conditions))})"
@@ -177,7 +195,7 @@ class Flow(checks.Made):
 
     @property
     def _by_null_space(self) -> bool:
-        return by_null_space(self.options.pressure, self.recipe, immersed=self.scales is not None)
+        return by_null_space(self.options.pressure, self.recipe, immersed=self.is_immersed)
 
     @property
     def rank_one(self) -> tuple[OutletPressure, ...]:
@@ -195,7 +213,7 @@ class Flow(checks.Made):
     @cached_property
     def recipe(self) -> LinearSolver:
         """Linear solver recipe, as PETSc's options with the prefix ``fluid_`` change it."""
-        dimension = None if self.scales is not None else int(self.mesh.domain.geometry.dim)
+        dimension = None if self.is_immersed else int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
         default = automatic(self.unknowns, blocked=True, dimension=dimension, kept=kept, rtol=rtol)

@@ -78,6 +78,7 @@ class FlowState:
         scheme: Scheme,
         moving: PrescribedMotion | ElasticMotion | None,
         solid: Solid | None,
+        is_sided: bool,
         options: FlowOptions,
     ) -> "FlowState":
         """State of a flow at rest at time zero; arguments as in :class:`varmint.flow.flow.Flow`."""
@@ -90,7 +91,7 @@ class FlowState:
         motion = None if moving is None else moving.motion
         extra = 0 if motion is None else 2 * (motion.degree - 1)
         quadrature = 2 * degree + extra if options.quadrature_degree is None else options.quadrature_degree
-        time = None if dt is None else _integrator(w, dt, scheme, options, quadrature)
+        time = None if dt is None else _integrator(w, dt, scheme, options, quadrature, is_sided)
         if time is None:
             level, rate, t = w, None, compat.Constant(domain, 0.0)
         else:
@@ -104,9 +105,19 @@ class FlowState:
         return cls(degree, V, w, time, rate, fields, moving, fluid)
 
 
-def _integrator(w: fem.Function, dt: float, scheme: Scheme, options: FlowOptions, quadrature: int) -> FlowTime:
-    if options.subscales == "quasi-static":
-        return FlowTime(w, dt, scheme, algebraic=(w.ufl_shape[0] - 1,))
-    from varmint.flow.subscales import DynamicTime  # others need nothing of it
+def _integrator(
+    w: fem.Function, dt: float, scheme: Scheme, options: FlowOptions, quadrature: int, is_sided: bool
+) -> FlowTime:
+    """The integrator; a flow imports those of its own kind alone."""
+    kind: Any = FlowTime
+    given: dict[str, Any] = {"algebraic": (w.ufl_shape[0] - 1,)}
+    if options.subscales == "dynamic":
+        from varmint.flow.subscales import DynamicTime
 
-    return DynamicTime(w, dt, scheme, quadrature)
+        kind, given = DynamicTime, {"degree": quadrature}
+    if is_sided:
+        from varmint.flow.sided_time import SidedTime
+
+        kind = SidedTime if kind is FlowTime else type("SidedDynamicTime", (SidedTime, kind), {})
+    time: FlowTime = kind(w, dt, scheme, **given)
+    return time

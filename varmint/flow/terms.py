@@ -45,15 +45,16 @@ class Interior:
             v_tau: velocity in the stabilisation parameters.
         """
         f, dx, quasi = self.state.fields, self.state.dx, self.options.subscales == "quasi-static"
-        return interior_residual(f.v, f.p, f.w, f.q, self.state.mesh.domain, **self._data(v_tau), stresses=quasi, dx=dx)
+        return interior_residual(f.v, f.p, f.w, f.q, self.state.mesh.domain, **self.data(v_tau), stresses=quasi, dx=dx)
 
     @property
     def fine_velocity(self) -> Any:
         """Velocity of the sub-scales times rho, UFL."""
         f = self.state.fields
-        return fine_scales(f.v, f.p, self.state.mesh.domain, **self._data(f.v))[0]
+        return fine_scales(f.v, f.p, self.state.mesh.domain, **self.data(f.v))[0]
 
-    def _data(self, v_tau: Any) -> dict[str, Any]:
+    def data(self, v_tau: Any) -> dict[str, Any]:
+        """What the residual takes beside its fields, by name; v_tau as there."""
         s, f, o = self.state, self.state.fields, self.options
         dt: Any = None
         if s.time is not None:

@@ -1,0 +1,129 @@
+"""A flow whose fields differ on both sides of the surface, as the coupling sees it."""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.surface.cut_cells import SideWeights
+from coudalfish.surface.distance import Curves
+from coudalfish.surface.enriched import Enriching, Enrichment
+from coudalfish.surface.kinks import KinkedMeeting
+from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.walls import WallWeights
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem.doubled import Doubled, DoubledSystem
+
+
+class FluidSides(Protocol):
+    """What differs on both sides of a surface, such as varmint's ``Flow(..., immersed="jump and kink").sides``.
+
+    Attributes:
+        is_kinked: whether velocities are kinked; pressures always jump.
+        phi: linear function of which the surface is the zero line.
+        size: linear function with its sizes at the nodes.
+        negative: weight of the negative side in divided cells, a quadratic function in each.
+        wall: the same on their facets on the boundary.
+        residual: residual of divided cells.
+        joined: functions of which those in the residual are made, see :class:`tigar_x.fem.doubled.Doubled`.
+    """
+
+    is_kinked: bool
+    phi: fem.Function
+    size: fem.Function
+    negative: fem.Function
+    wall: fem.Function
+    residual: ufl.Form
+    joined: Any
+
+
+class SidedFluid(FluidSubproblem):
+    """A flow whose pressure jumps, and whose velocity may be kinked, at the surface.
+
+    Args:
+        sides: what differs.
+        arguments: see :class:`coudalfish.sides.fluid.FluidSubproblem`; there is no band.
+    """
+
+    system: DoubledSystem
+
+    def __init__(self, *arguments: Any, sides: FluidSides, **named: Any) -> None:
+        self.sides = sides
+        super().__init__(*arguments, **named)
+        self._node = self.velocity_dofs[:, 0] // (self.mesh.geometry.dim + 1)
+        self.trace_dofs = np.vstack([self.velocity_dofs, self.velocity_dofs + len(self.timeInt.x.x.array)])
+        self.free = np.vstack([self.free, np.zeros_like(self.free)])
+        self._enriching = Enriching(self.velocity_space, kinked=sides.is_kinked)
+        space = sides.negative.function_space
+        points = compat.node_points(space)
+        self._weights = SideWeights(compat.lagrange_degree(space), points)
+        self._walls = WallWeights(self.mesh, points)
+        self._cells = compat.cell_dofs(space)
+        linear = np.empty(len(self._node), dtype=np.int64)
+        linear[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(sides.phi.function_space)
+        self._linear = linear
+        self._found: Enrichment | None = None
+
+    def _make_system(self, residual: ufl.Form, bcs: Any, **options: Any) -> DoubledSystem:
+        doubled = Doubled(self.sides.residual, self.sides.joined, self.mesh.geometry.dim)
+        return DoubledSystem(residual, self.timeInt.x, bcs, doubled, **options)
+
+    def place(self, meeting: Meeting, sheets: Sheets, x: FloatArray, *, scale_m: float, scale_c: float) -> Meeting:
+        """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""
+        found = self._enriching(Curves.of(sheets, x))
+        self._divide(found)
+        phi = np.nan_to_num(found.phi)
+        return KinkedMeeting.of(meeting, phi, found.kink) if self.sides.is_kinked else meeting
+
+    def _divide(self, found: Enrichment) -> None:
+        """Take over what the surface divides (collective)."""
+        self._found, sides = found, self.sides
+        phi = np.nan_to_num(found.phi)
+        sides.phi.x.array[self._linear], sides.size.x.array[self._linear] = phi, np.abs(phi)
+        sides.negative.x.array[self._cells[found.cut.cells]] = self._weights(found.cut)
+        cells, values = self._walls(found.cut)
+        sides.wall.x.array[self._cells[cells]] = values
+        d, n = self.mesh.geometry.dim, len(self._node)
+        second = np.zeros((n, d + 1), dtype=bool)
+        kinks = found.kink[:, None] & self.free[:n]
+        second[self._node, :d], second[self._node, d] = kinks, found.jump
+        self.free[n:] = kinks
+        side = np.ones(n)
+        side[self._node[phi < 0.0]] = -1.0
+        divided = np.zeros(len(self._cells), dtype=bool)
+        divided[found.cut.cells] = True
+        self.timeInt.is_second[:] = second.ravel()  # type: ignore[attr-defined]
+        self.system.divide(divided, second, side)
+        self._measure()
+
+    def remember(self) -> Callable[[], None]:
+        """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
+        found = self._found
+
+        def bring_back() -> None:
+            if found is not None:
+                self._divide(found)
+
+        return bring_back
+
+    def _levels(self) -> tuple[FloatArray, FloatArray]:
+        time: Any = self.timeInt
+        present, old = (time.x, time.second), (time.x_old, time.second_old)
+        first, second = (np.concatenate([f.x.array for f in pair]) for pair in (present, old))
+        return first, second
+
+    def names(self, nodes: IntArray) -> IntArray:
+        """See :class:`coudalfish.sides.fluid.FluidSubproblem`; kinks come after all nodes."""
+        n, size = len(self._node), self.velocity_space.dofmap.index_map.size_global
+        return np.where(nodes < n, super().names(nodes % n), super().names(nodes % n) + size)
+
+    def owned_nodes(self, names: IntArray) -> IntArray:
+        """See there."""
+        n, size = len(self._node), self.velocity_space.dofmap.index_map.size_global
+        local = super().owned_nodes(names % size)
+        return np.where((local >= 0) & (names >= size), local + n, local)

@@ -1,0 +1,119 @@
+"""Equations on both sides of a line through cells: what they are where nothing differs, and where something does."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from flows import DT, MU, RHO, assembled, grid, randomise
+
+from coudalfish.surface.cut_cells import CutCells, SideWeights
+from tigar_x import compat
+from varmint.forms.sides import Sides, sided_residual
+from varmint.forms.vms import interior_residual
+
+DEGREE = 4
+LINE = np.array([0.6, 0.8]), 0.41
+"""Normal of a straight line, and where it is."""
+
+
+class Scene:
+    """A square that a straight line divides; all cells count as divided, with weights 0 and 1 where they are not."""
+
+    def __init__(self):
+        self.mesh = grid("triangle", 4)
+        self.V = compat.lagrange_space(self.mesh, 1, 6)
+        linear, weights = (
+            compat.lagrange_space(self.mesh, 1),
+            compat.lagrange_space(self.mesh, DEGREE, discontinuous=True),
+        )
+        self.phi, self.size, self.negative = fem.Function(linear), fem.Function(linear), fem.Function(weights)
+        x = linear.tabulate_dof_coordinates()[:, :2]
+        phi = x @ LINE[0] - LINE[1]
+        self.phi.x.array[:], self.size.x.array[:] = phi, np.abs(phi)
+        vertices = compat.cell_dofs(linear)
+        c = np.repeat(
+            (phi[vertices].max(axis=1) <= 0.0)[:, None].astype(float), compat.cell_dofs(weights).shape[1], axis=1
+        )
+        cut = CutCells.of(vertices, phi)
+        c[cut.cells] = SideWeights(DEGREE, compat.node_points(weights))(cut)
+        self.negative.x.array[compat.cell_dofs(weights)] = c
+        self.sides = Sides(self.phi, self.size, self.negative)
+        self.u, self.rate = fem.Function(self.V), fem.Function(self.V)
+        self.dx = ufl.dx(domain=self.mesh, metadata={"quadrature_degree": 2 * DEGREE})
+
+    @staticmethod
+    def parts(f):
+        return ufl.as_vector([f[0], f[1]]), f[2], ufl.as_vector([f[3], f[4]]), f[5]
+
+    def residual(self, **options):
+        u_t, _, a_t, _ = self.parts(self.rate)
+        known = dict(rho=RHO, mu=MU, dt=compat.Constant(self.mesh, DT), dx=self.dx) | options
+        tests = self.parts(ufl.TestFunction(self.V))
+        return sided_residual(self.sides, self.parts(self.u), tests, (u_t, a_t), self.mesh, **known)
+
+    def component(self, *which):
+        return np.concatenate([compat.component_space(self.V, i)[1] for i in which])
+
+
+def test_without_jump_and_kink_the_sides_sum_to_the_whole():
+    scene = Scene()
+    randomise(scene.u, 1)
+    randomise(scene.rate, 2)
+    scene.u.x.array[scene.component(3, 4, 5)] = scene.rate.x.array[scene.component(3, 4, 5)] = 0.0
+    (v, p, _, _), (w, q, _, _) = scene.parts(scene.u), scene.parts(ufl.TestFunction(scene.V))
+    dt = compat.Constant(scene.mesh, DT)
+    plain = dict(rho=RHO, mu=MU, v_t=scene.parts(scene.rate)[0], dt=dt, dx=scene.dx)
+    whole = interior_residual(v, p, w, q, scene.mesh, stresses=False, **plain)
+    fine = interior_residual(v, p, w, q, scene.mesh, **plain)
+    sided, whole, fine = (assembled(f, scene.V).array for f in compat.compile_forms(scene.residual(), whole, fine))
+    own = scene.component(0, 1, 2)
+    np.testing.assert_allclose(sided[own], whole[own], atol=1e-12)
+    assert np.abs(fine[own] - whole[own]).max() > 1e-4
+
+
+def test_a_pressure_that_jumps_pushes_the_line_and_nothing_else():
+    """At rest the power of every velocity that vanishes at the walls is the jump times its flux through the line."""
+    scene, jump = Scene(), 3.0
+    scene.u.x.array[scene.component(5)] = jump
+    scene.u.x.array[scene.component(2)] = -7.0
+    R = scene.residual(f=None)
+    b = assembled(compat.compile_forms(R)[0], scene.V).array
+    x = scene.V.tabulate_dof_coordinates()[:, :2]
+    free = ((x > 1e-9) & (x < 1.0 - 1e-9)).all(axis=1)
+    W = np.random.default_rng(7).normal(size=(len(x), 2)) * free[:, None]
+    momentum = sum(b[compat.component_space(scene.V, i)[1]] @ W[:, i] for i in (0, 1))
+    w = fem.Function(scene.V)
+    for i in (0, 1):
+        w.x.array[compat.component_space(scene.V, i)[1]] = W[:, i]
+    divergence = ufl.div(scene.parts(w)[0])
+    forms = compat.compile_forms(scene.negative * divergence * scene.dx, divergence * scene.dx)
+    through = compat.assemble_scalar(forms[0])  # the flux out of the negative side, all of it through the line
+    assert abs(compat.assemble_scalar(forms[1])) < 1e-12
+    np.testing.assert_allclose(momentum, jump * through, rtol=1e-11)
+    assert abs(through) > 1e-2
+
+
+@pytest.mark.parametrize("s", [-1.0, 1.0])
+def test_a_field_that_bends_at_the_line_is_in_the_space(s):
+    """max(phi, 0) is its own interpolant and a kink of minus one half."""
+    scene = Scene()
+    u = ufl.as_vector([(scene.size + scene.phi) / 2] * 2)
+    exact = scene.phi if s > 0 else 0.0
+    bent = scene.sides.velocity(u, ufl.as_vector([-0.5, -0.5]), s)[0]
+    assert compat.assemble_scalar(compat.compile_forms((bent - exact) ** 2 * scene.dx)[0]) < 1e-28
+
+
+def test_smoothing_sees_kinks_alone_and_only_where_they_vary():
+    scene = Scene()
+    difference = compat.compile_forms(scene.residual(smoothing=0.1) - scene.residual(smoothing=0.0))[0]
+
+    def norms():
+        b = assembled(difference, scene.V).array
+        return [np.abs(b[scene.component(*which)]).max() for which in ((0, 1, 2, 5), (3, 4))]
+
+    scene.u.x.array[scene.component(3, 4)] = 2.0
+    assert max(norms()) < 1e-14
+    randomise(scene.u, 3)
+    others, kinks = norms()
+    assert others < 1e-14
+    assert kinks > 1e-3

@@ -1,0 +1,120 @@
+"""A flow whose fields differ on both sides of a surface that passes through its cells.
+
+Nodes have the values of the side on which they lie. Those of cells that are divided may have a jump of the pressure and
+a kink of the velocity as well, see :mod:`varmint.forms.sides`; where these are unknowns, and what is divided, whoever
+knows the surface says at the start of a step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import ufl
+from dolfinx import fem
+
+from tigar_x import compat
+from tigar_x.fem.time_integration import TimeIntegrator
+from varmint.conditions import Condition, Resistance
+from varmint.flow.sided_time import SidedTime
+from varmint.flow.state import FlowState
+from varmint.flow.terms import Interior
+from varmint.forms.sides import SIGNS, Sides, sided_residual, weighted
+
+DEGREE = 2
+"""Degree of the polynomials that weights of sides integrate exactly."""
+KINDS = ("jump", "jump and kink")
+"""What may differ on both sides."""
+
+
+class FlowSides:
+    """What differs on both sides of a surface, and the equations of the cells that it divides.
+
+    Args:
+        state: of the flow, whose integrator is a :class:`SidedTime`.
+        interior: its equations inside.
+        conditions: on its boundary.
+        kind: one of ``KINDS``.
+
+    Attributes:
+        is_kinked: whether velocities are kinked; pressures always jump.
+        phi: linear function of which the surface is the zero line.
+        size: linear function with its sizes at the nodes.
+        negative: weight of the negative side in divided cells, a polynomial in each.
+        wall: the same on their facets on the boundary.
+        residual: residual of divided cells.
+        joined: functions of which those in the residual are made, see :class:`tigar_x.fem.doubled.Doubled`.
+    """
+
+    def __init__(self, state: FlowState, interior: Interior, conditions: Sequence[Condition], kind: str) -> None:
+        domain, time = state.mesh.domain, state.time
+        assert isinstance(time, SidedTime)
+        d, self.is_kinked = domain.geometry.dim, kind == KINDS[1]
+        linear, weights = compat.lagrange_space(domain, 1), compat.lagrange_space(domain, DEGREE, discontinuous=True)
+        self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
+        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(weights, name="wall_negative")
+        self._both = fem.Function(compat.lagrange_space(domain, 1, 2 * (d + 1)), name="both")
+        both = TimeIntegrator(self._both, time.step_size, time.scheme, algebraic=(d, 2 * d + 1))
+        self.joined = (
+            (time.x, time.second, both.x),
+            (time.x_old, time.second_old, both.x_old),
+            (time.xdot_old, time.second_rate, both.xdot_old),
+        )
+        residual = self._inside(state, interior, both) + self._boundary(state, conditions, both)
+        self.residual = ufl.replace(residual, {both.dt: time.dt, both.t: time.t, both.t_alpha: time.t_alpha})
+
+    def _parts(self, f: Any) -> tuple[Any, Any, Any, Any]:
+        """Velocity, pressure, kink and jump of a field of divided cells."""
+        d = f.ufl_shape[0] // 2 - 1
+        u, a = (ufl.as_vector([f[i + start] for i in range(d)]) for start in (0, d + 1))
+        return u, f[d], a if self.is_kinked else None, f[2 * d + 1]
+
+    def _inside(self, state: FlowState, interior: Interior, both: TimeIntegrator) -> ufl.Form:
+        u_t, _, a_t, _ = self._parts(both.xdot_alpha)
+        known = interior.data(None)
+        for name in ("v_t", "memory", "scale_m", "scale_c", "motion"):
+            del known[name]
+        return sided_residual(
+            Sides(self.phi, self.size, self.negative), self._parts(both.x_alpha), self._tests, (u_t, a_t),
+            state.mesh.domain, dx=state.mesh.dx(degree=2 * DEGREE), **known,
+        )  # fmt: skip
+
+    def _boundary(self, state: FlowState, conditions: Sequence[Condition], both: TimeIntegrator) -> ufl.Form:
+        residual, sides = ufl.Form([]), Sides(self.phi, self.size, self.wall)
+        for s in SIGNS:
+            v, p = sides.fields(self._parts(both.x_alpha), s)
+            w, q = sides.fields(self._tests, s)
+            fields = replace(state.fields, v=v, p=p, w=w, q=q, degree=2 * DEGREE)
+            for condition in conditions:
+                term = condition.term(fields)
+                if term is not None:
+                    residual += weighted(term, sides.weight(s))
+        return residual
+
+    @property
+    def _tests(self) -> tuple[Any, Any, Any, Any]:
+        return self._parts(ufl.TestFunction(self._both.function_space))
+
+
+def check_sides(state: FlowState, conditions: Sequence[Condition], kind: str, solid: Any) -> None:
+    """Check that what differs on both sides of a surface can do so in a flow.
+
+    Args:
+        state: of the flow.
+        conditions: on its boundary.
+        kind: one of ``KINDS``.
+        solid: solid in the flow; None: none.
+
+    Raises:
+        ValueError: it cannot.
+    """
+    reasons = (
+        (state.time is None, "dt = None: a flow that advances in time"),
+        (state.degree != 1, f"degree = {state.degree}: degree 1"),
+        (compat.cell_name(state.mesh.domain) != "triangle", "mesh: triangles in the plane"),
+        (state.moving is not None, "moving: a mesh that is fixed"),
+        (solid is not None, "solid: None"),
+        (any(isinstance(condition, Resistance) for condition in conditions), "conditions: no Resistance"),
+    )
+    for found, what in reasons:
+        if found:
+            raise ValueError(f"immersed = {kind!r}, {what} is required")
