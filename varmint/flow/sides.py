@@ -7,7 +7,7 @@ knows the surface says at the start of a step.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import ufl
 from dolfinx import fem
@@ -46,8 +46,7 @@ class FlowSides:
     """
 
     def __init__(self, state: FlowState, interior: Interior, conditions: Sequence[Condition], kind: str) -> None:
-        domain, time = state.mesh.domain, state.time
-        assert isinstance(time, SidedTime)
+        domain, time = state.mesh.domain, cast(SidedTime, state.time)
         d, self.is_kinked = domain.geometry.dim, kind == KINDS[1]
         linear, weights = compat.lagrange_space(domain, 1), compat.lagrange_space(domain, DEGREE, discontinuous=True)
         self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
