@@ -68,13 +68,14 @@ def unit(i: int, d: int) -> Any:
     return ufl.as_vector([float(i == j) for j in range(d)])
 
 
-def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
+def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None) -> SimpleNamespace:
     """The flow at a time, in both parts.
 
     Args:
         x: position, of 2 or 3 components.
         t: time.
         c: the problem's data, as numbers or Constants.
+        left: UFL condition that decides which part it is; None: the position.
 
     Returns:
         Velocity ``u``, pressure ``p`` and body force per mass ``f``, each chosen by side, and ``grad_u`` taken side by
@@ -86,7 +87,7 @@ def exact_flow(x: Any, t: Any, c: Any) -> SimpleNamespace:
     u_left = c.V * Y * e_1
     u_right = u_left + S * (c.V * t * dY * e_1 + e_2)
     rate_right = c.V**2 * (((x[0] - c.L / 2) * dY - 2 * c.V * t * Y * dY) * e_1 - Y * e_2) / c.L
-    left = ufl.lt(x[0], c.L / 2 + c.V * t * Y)
+    left = ufl.lt(x[0], c.L / 2 + c.V * t * Y) if left is None else left
 
     def force(u: Any, rate: Any) -> Any:
         return rate + ufl.grad(u) * u - ufl.div(2 * c.mu / c.rho * ufl.sym(ufl.grad(u)))

@@ -29,8 +29,7 @@ class FluidSides(Protocol):
         size: linear function with its sizes at the nodes.
         negative: weight of the negative side in divided cells, a quadratic function in each.
         wall: the same on their facets on the boundary.
-        residual: residual of divided cells.
-        joined: functions of which those in the residual are made, see :class:`tigar_x.fem.doubled.Doubled`.
+        doubled: equations of divided cells, and what is divided.
     """
 
     is_kinked: bool
@@ -38,8 +37,7 @@ class FluidSides(Protocol):
     size: fem.Function
     negative: fem.Function
     wall: fem.Function
-    residual: ufl.Form
-    joined: Any
+    doubled: Doubled
 
 
 class SidedFluid(FluidSubproblem):
@@ -70,8 +68,7 @@ class SidedFluid(FluidSubproblem):
         self._found: Enrichment | None = None
 
     def _make_system(self, residual: ufl.Form, bcs: Any, **options: Any) -> DoubledSystem:
-        doubled = Doubled(self.sides.residual, self.sides.joined, self.mesh.geometry.dim)
-        return DoubledSystem(residual, self.timeInt.x, bcs, doubled, **options)
+        return DoubledSystem(residual, self.timeInt.x, bcs, self.sides.doubled, **options)
 
     def place(self, meeting: Meeting, sheets: Sheets, x: FloatArray, *, scale_m: float, scale_c: float) -> Meeting:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""

@@ -7,7 +7,6 @@ that of other systems, and the second blocks are rows at the end of the matrix.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,20 +22,54 @@ from tigar_x.fem import rounding
 from tigar_x.fem.solve import FiniteElementSystem
 
 
-@dataclass(frozen=True, eq=False)
 class Doubled:
-    """What the equations of divided cells are made of.
+    """The equations of divided cells, and what their fields are made of.
 
-    Attributes:
+    Args:
         residual: residual of divided cells, R(z; test).
         joined: functions (x, e, z), the unknown and z first, then others of which z is made likewise, such as old
             states; x and e have m components and z has 2 m in a Lagrange space of one order.
         jumps: component of x that jumps by the same one of e.
+
+    Attributes:
+        residual: as given.
+        joined: as given.
+        jumps: as given.
+        cells: mask of the divided cells, ghosts as well, shape (cells,).
+        second: mask of the unknowns among the second blocks, shape (nodes, m).
+        side: -1 or 1 for every node, shape (nodes,).
     """
 
-    residual: ufl.Form
-    joined: Sequence[tuple[fem.Function, fem.Function, fem.Function]]
-    jumps: int
+    def __init__(
+        self, residual: ufl.Form, joined: Sequence[tuple[fem.Function, fem.Function, fem.Function]], jumps: int
+    ) -> None:
+        self.residual, self.joined, self.jumps = residual, tuple(joined), jumps
+        V, W = joined[0][0].function_space, joined[0][2].function_space
+        self._m = V.dofmap.index_map_bs
+        self._cell_nodes, of_z = compat.cell_dofs(V), compat.cell_dofs(W)
+        nodes = len(joined[0][0].x.array) // self._m
+        self.node_of_z = np.empty(nodes, dtype=np.int64)
+        self.node_of_z[self._cell_nodes] = of_z
+        self.divide(np.zeros(len(of_z), dtype=bool), np.zeros((nodes, self._m), dtype=bool), np.ones(nodes))
+
+    def divide(self, cells: Any, second: Any, side: FloatArray) -> None:
+        """Say what is divided now; arguments as the attributes."""
+        self.cells, self.second, self.side = cells, second, side
+        self._near = np.unique(self._cell_nodes[cells])
+        self.join()
+
+    def join(self, *, last: bool = False) -> None:
+        """Make the fields of divided cells, where e vanishes that is no unknown.
+
+        Args:
+            last: whether the unknown alone has changed.
+        """
+        m, p, at = self._m, self.jumps, self._near
+        for x, e, z in self.joined[: 1 if last else None]:
+            first, second = x.x.array.reshape(-1, m)[at], e.x.array.reshape(-1, m)[at] * self.second[at]
+            both, to = z.x.array.reshape(-1, 2 * m), self.node_of_z[at]
+            both[to, :m], both[to, m:] = first, second
+            both[to, p] -= 0.5 * self.side[at] * second[:, p]
 
 
 class _Layout:
@@ -72,16 +105,14 @@ class DoubledSystem(FiniteElementSystem):
         self._parts = [compat.PartialForm(form) for form in (residual, tangent)]
         self._divided_parts = [compat.PartialForm(form) for form in (d.residual, ufl.derivative(d.residual, self._z))]
         self._m = V.dofmap.index_map_bs
-        self._cell_nodes, of_z = compat.cell_dofs(V), compat.cell_dofs(self._z.function_space)
+        self._cell_nodes, self._node_of_z = compat.cell_dofs(V), d.node_of_z
         self._nodes = len(self.x.x.array) // self._m
-        self._node_of_z = np.empty(self._nodes, dtype=np.int64)
-        self._node_of_z[self._cell_nodes] = of_z
         self._owned_nodes, self._owned_cells = V.dofmap.index_map.size_local, compat.owned_cells(V.mesh)
         self._comm, self._number = V.mesh.comm, fem.Function(V)
         self._free = np.ones((self._nodes, self._m))
         self._free.ravel()[self.constrained] = 0.0
         self._shape: tuple[Any, ...] | None = None
-        self.divide(np.zeros(len(of_z), dtype=bool), np.zeros((self._nodes, self._m), dtype=bool), np.ones(self._nodes))
+        self.divide(d.cells, d.second, d.side)
 
     # -- what is divided ----------------------------------------------------------------------------------------------
 
@@ -101,7 +132,7 @@ class DoubledSystem(FiniteElementSystem):
             self._shape = tuple(mask.copy() for mask in shape)
             self._allocate()
         self._e.x.array[:] *= second.ravel()
-        self.join()
+        self._doubled.divide(cells, second, side)
 
     def _allocate(self) -> None:
         """Rows, matrix, vectors and forms of what is divided now (collective)."""
@@ -183,20 +214,6 @@ class DoubledSystem(FiniteElementSystem):
 
     # -- fields -------------------------------------------------------------------------------------------------------
 
-    def join(self, *, last: bool = False) -> None:
-        """Make the fields of divided cells out of the unknowns, and where nothing is unknown let e vanish.
-
-        Args:
-            last: whether the unknown alone has changed.
-        """
-        m, p, at = self._m, self._doubled.jumps, self._touched
-        for x, e, z in self._doubled.joined[: 1 if last else None]:
-            first, second = x.x.array.reshape(-1, m)[at], e.x.array.reshape(-1, m)[at] * self.second[at]
-            both = z.x.array.reshape(-1, 2 * m)
-            to = self._node_of_z[at]
-            both[to, :m], both[to, m:] = first, second
-            both[to, p] -= 0.5 * self._side[at] * second[:, p]
-
     @property
     def local_size(self) -> int:
         """Number of local dofs, those of x and of e, ghosts as well."""
@@ -241,7 +258,7 @@ class DoubledSystem(FiniteElementSystem):
         """See :class:`tigar_x.fem.solve.FiniteElementSystem`; the load's array has the dofs of x, then those of e."""
         for update in self._before:
             update()
-        self.join(last=True)
+        self._doubled.join(last=True)
         m, p, at = self._m, self._doubled.jumps, self._touched
         array = np.zeros(2 * m * self._nodes)
         first, second = array[: m * self._nodes], array[m * self._nodes :]

@@ -152,9 +152,9 @@ class Flow(checks.Made):
 
     def _sides(self, kind: str, solid: Any) -> Any:
         """What differs on both sides of a surface."""
-        from varmint.flow.sides import FlowSides, check_sides  # other flows need nothing of it
+        from varmint.flow.sides import FlowSides, check_immersed  # other flows need nothing of it
 
-        check_sides(self._state, self.conditions, kind, solid)
+        check_immersed(self._state, self.conditions, kind, solid)
         return FlowSides(self._state, self._interior, self.conditions, kind)
 
     @property

@@ -13,6 +13,7 @@ import ufl
 from dolfinx import fem
 
 from tigar_x import compat
+from tigar_x.fem.doubled import Doubled
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Condition, Resistance
 from varmint.flow.sided_time import SidedTime
@@ -41,8 +42,7 @@ class FlowSides:
         size: linear function with its sizes at the nodes.
         negative: weight of the negative side in divided cells, a polynomial in each.
         wall: the same on their facets on the boundary.
-        residual: residual of divided cells.
-        joined: functions of which those in the residual are made, see :class:`tigar_x.fem.doubled.Doubled`.
+        doubled: equations of divided cells, and what is divided.
     """
 
     def __init__(self, state: FlowState, interior: Interior, conditions: Sequence[Condition], kind: str) -> None:
@@ -53,13 +53,22 @@ class FlowSides:
         self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(weights, name="wall_negative")
         self._both = fem.Function(compat.lagrange_space(domain, 1, 2 * (d + 1)), name="both")
         both = TimeIntegrator(self._both, time.step_size, time.scheme, algebraic=(d, 2 * d + 1))
-        self.joined = (
+        joined = (
             (time.x, time.second, both.x),
             (time.x_old, time.second_old, both.x_old),
             (time.xdot_old, time.second_rate, both.xdot_old),
         )
         residual = self._inside(state, interior, both) + self._boundary(state, conditions, both)
-        self.residual = ufl.replace(residual, {both.dt: time.dt, both.t: time.t, both.t_alpha: time.t_alpha})
+        residual = ufl.replace(residual, {both.dt: time.dt, both.t: time.t, both.t_alpha: time.t_alpha})
+        self.doubled = Doubled(residual, joined, d)
+
+    def fields(self, s: float) -> tuple[Any, Any]:
+        """Velocity and pressure on a side of divided cells at the end of the step, UFL, once they have been joined."""
+        return Sides(self.phi, self.size, self.negative).fields(self._parts(self._both), s)
+
+    def weight(self, s: float) -> Any:
+        """Weight of a side in divided cells, UFL."""
+        return Sides(self.phi, self.size, self.negative).weight(s)
 
     def _parts(self, f: Any) -> tuple[Any, Any, Any, Any]:
         """Velocity, pressure, kink and jump of a field of divided cells."""
@@ -94,7 +103,7 @@ class FlowSides:
         return self._parts(ufl.TestFunction(self._both.function_space))
 
 
-def check_sides(state: FlowState, conditions: Sequence[Condition], kind: str, solid: Any) -> None:
+def check_immersed(state: FlowState, conditions: Sequence[Condition], kind: str, solid: Any) -> None:
     """Check that what differs on both sides of a surface can do so in a flow.
 
     Args:
