@@ -36,7 +36,7 @@ PARTS = {
     ],
     "coupling: normals, multiplier, monitors": [("coudalfish/surface/sheets.py", "__call__"), (STEP, "_finish")],
     "acceptance test": [(STEP, "_accepted")],
-    "shell": [(STEP, "_shell_residual"), (STEP, "_solve_shell")],
+    "shell": [(STEP, "shell_residual"), (STEP, "solve_shell")],
 }
 
 

@@ -17,7 +17,8 @@ from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem.doubled import Doubled, DoubledSystem
+from tigar_x.fem.divided import Doubled
+from tigar_x.fem.doubled import DoubledSystem
 
 
 class FluidSides(Protocol):

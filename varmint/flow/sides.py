@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from tigar_x import compat
-from tigar_x.fem.doubled import Doubled
+from tigar_x.fem.divided import Doubled
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Condition, Resistance
 from varmint.flow.sided_time import SidedTime
