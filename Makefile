@@ -78,6 +78,7 @@ bench: setup ## run the benchmarks, into results/benchmarks
 	$(PYTHON) benchmarks/flow_tangents.py --out results/benchmarks/flow_tangents
 	$(PYTHON) benchmarks/flow_subscales.py --out results/benchmarks/flow_subscales
 	$(PYTHON) benchmarks/flow_extremes.py --out results/benchmarks/flow_extremes
+	$(PYTHON) benchmarks/surface.py --out results/benchmarks/surface
 	$(PYTHON) benchmarks/valve_2d.py --out results/benchmarks/valve_2d
 	$(PYTHON) benchmarks/heart_valve.py --out results/benchmarks/heart_valve
 	$(PYTHON) benchmarks/valve_extremes.py --out results/benchmarks/valve_extremes

@@ -1,0 +1,166 @@
+"""What settings of the coupling and of the flow's fields do at an immersed surface: error, time and memory.
+
+The scenes are those of ``plane.py``. Every run is a process of its own, so that CPU seconds, without form compilation,
+and memory are its alone; within a table they may be compared, as the runs follow each other directly.
+
+A setting is a preset of the coupling's options, ``default``, ``steady``, ``reference`` and so on, with changes to them,
+``default(relaxation=0.2, penalty=(10, 0))``; ``immersed`` is that of the flow, and options of the flow are taken too.
+"""
+
+import ast
+import csv
+import logging
+import multiprocessing
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from plane import LOADED_ARC, Found, HeldSheet, Plate, Ring, Setting, Slit, String
+
+from coudalfish import CouplingOptions, PenaltyRule, StepError
+from tigar_x.run import script
+from tigar_x.run.progress import peak_rss_mib
+from varmint import FlowOptions
+
+COSTS = ("steps", "passes mean/max", "hard", "CPU ms/step", "MiB")
+Scene = HeldSheet | String | Ring | Plate | Slit
+Study = tuple[tuple[str, ...], dict[str, Scene]]
+"""Names of the figures that count, and scenes by name."""
+
+STUDIES: dict[str, Study] = {
+    "arc": (("velocity", "leak"), {f"n {n}": HeldSheet(n) for n in (16, 32, 64)}),
+    "straight sheet": (("velocity", "leak"), {f"n {n}": HeldSheet(n, bow=0.0) for n in (16, 32, 64)}),
+    "arc, jump": (("velocity", "leak"), {f"{j:g}": HeldSheet(jump=j, dt=j**-0.5) for j in (1.0, 1e2, 1e3, 1e5)}),
+    "loaded arc": (("velocity", "grown", "pattern", "growth"), {"2000 steps": LOADED_ARC}),
+    "string": (
+        ("frequency", "damping", "leak"),
+        {
+            **{f"mass {m:g}": String(mass_ratio=m) for m in (1.0, 1e-2, 1e-4)},
+            "n 32, 100 steps": String(32, 100),
+            "5 steps": String(steps_per_period=5),
+        },
+    ),
+    "ring": (
+        ("area", "lost", "velocity"),
+        {"n 16": Ring(16), "n 32": Ring(32), "mu 0.01": Ring(mu=0.01), "dt x 10": Ring(dt=0.2, steps=10)},
+    ),
+    "plate": (
+        ("error", "drag", "inertia"),
+        {
+            **{f"delta {d:g} h": Plate(d) for d in (4.0, 1.0, 0.25)},
+            **{f"delta {d:g} h, 10 steps": Plate(d, steps_per_period=10) for d in (4.0, 1.0, 0.25)},
+        },
+    ),
+    "slit": (
+        ("flow", "leak"),
+        {
+            f"Re {re:g}, CFL {cfl:g}, gap {gap:g} h": Slit(gap, re, cfl)
+            for re in (0.5, 10.0)
+            for cfl in (0.2, 1.0)
+            for gap in (1.0, 2.0, 4.0)
+        },
+    ),
+}
+PLACES = 20
+SHIFTED: dict[str, HeldSheet] = {"arc": HeldSheet(), "straight": HeldSheet(bow=0.0)}
+
+
+def setting_of(text: str) -> Setting:
+    """A setting from text, see the module.
+
+    Raises:
+        ValueError: it is no such text.
+        TypeError: there is no such option.
+    """
+    node = ast.parse(text.strip(), mode="eval").body
+    call = node if isinstance(node, ast.Call) else ast.Call(node, [], [])
+    if not isinstance(call.func, ast.Name) or call.args or None in [item.arg for item in call.keywords]:
+        raise ValueError(f"{text!r}: preset or preset(option=value, ...) is required")
+    given = {str(item.arg): ast.literal_eval(item.value) for item in call.keywords}
+    if isinstance(given.get("penalty"), tuple):
+        given["penalty"] = PenaltyRule(*given["penalty"])
+    start = Setting()
+    of_flow = {name: given.pop(name) for name in {f.name for f in fields(FlowOptions)} & set(given)}
+    immersed, name = given.pop("immersed", start.immersed), call.func.id
+    preset = CouplingOptions() if name == "default" else getattr(CouplingOptions, name, None)
+    if preset is None:
+        raise ValueError(f"{name!r} is no preset of CouplingOptions")
+    options = (preset if isinstance(preset, CouplingOptions) else preset()).with_(**given)
+    return Setting(options, immersed, replace(start.flow, **of_flow))
+
+
+def measure(scene: Scene, text: str, shifted: bool = False) -> dict[str, Any]:
+    """Run a scene with a setting: its figures and costs, or why it failed."""
+    logging.getLogger("coudalfish").setLevel(logging.ERROR)
+    try:
+        setting = setting_of(text)
+        if shifted and isinstance(scene, HeldSheet):
+            found = scene.shifted(setting, PLACES)
+            speeds = [each.figures["velocity"] for each in found]
+            figures = {"smallest": min(speeds), "largest": max(speeds), "ratio": max(speeds) / max(min(speeds), 1e-300)}
+            return figures | costs(found[-1])
+        found_once = scene.run(setting)
+        return found_once.figures | costs(found_once)
+    except (StepError, ValueError, NotImplementedError) as error:
+        return {"failed": str(error)}
+
+
+def costs(found: Found) -> dict[str, Any]:
+    """What a run cost; "hard" are steps with more than one attempt."""
+    return {
+        "steps": len(found.reports),
+        "passes mean/max": f"{found.passes.mean():.2f}/{found.passes.max()}",
+        "hard": sum(report.attempts > 1 for report in found.reports),
+        "CPU ms/step": 1e3 * found.watch.cpu_s / len(found.reports),
+        "MiB": round(peak_rss_mib()),
+    }
+
+
+def jobs(only: str) -> Iterator[tuple[str, str, tuple[str, ...], Scene, bool]]:
+    """Study, case, figures and scene of every run, and whether the sheet is shifted through a cell."""
+    for study, (figures, scenes) in STUDIES.items():
+        for case, scene in scenes.items():
+            if only in f"{study}: {case}":
+                yield study, case, figures, scene, False
+    for case, scene in SHIFTED.items():
+        if only in f"shifted: {case}":
+            yield "shifted", case, ("smallest", "largest", "ratio"), scene, True
+
+
+def main(settings: str = "default; steady", only: str = "", out: Path = Path("results/surface")) -> None:
+    """Run the scenes with the settings; print a table for each study as Markdown, and write them all as CSV.
+
+    Args:
+        settings: separated by semicolons, see the module.
+        only: run the cases whose study and name, "slit: Re 0.5, CFL 1, gap 2 h", contain this.
+        out: folder of the results.
+    """
+    chosen = [text.strip() for text in settings.split(";")]
+    for text in chosen:
+        setting_of(text)
+    out.mkdir(parents=True, exist_ok=True)
+    last, rows = "", []
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        for study, case, figures, scene, shifted in jobs(only):
+            if study != last:
+                header = ("case", "setting", *figures, *COSTS)
+                print(f"\n**{study}**\n\n| {' | '.join(header)} |\n|{' --- |' * len(header)}")
+            last = study
+            for text in chosen:
+                found = pool.apply(measure, (scene, text, shifted))
+                rows += [{"study": study, "case": case, "setting": text, "name": n, "value": found[n]} for n in found]
+                shown = [found.get(name, "-") for name in (*figures, *COSTS)]
+                shown[-1] = found.get("failed", shown[-1])
+                cells = [f"{x:.3g}" if isinstance(x, float | np.floating) else str(x) for x in (case, text, *shown)]
+                print(f"| {' | '.join(cells)} |", flush=True)
+    with open(out / "surface.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, ("study", "case", "setting", "name", "value"))
+        writer.writeheader()
+        writer.writerows(rows)
+    print(f"\nwritten: {out / 'surface.csv'}")
+
+
+if __name__ == "__main__":
+    script.command_line(main)

@@ -1,0 +1,148 @@
+"""What the plane scenes of benchmarks/plane.py say of the library, and what they are measured by."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane import DISCHARGE, LOADED_ARC, HeldSheet, Plate, Ring, Setting, Slit, String, damped_frequency
+from surface import STUDIES, setting_of
+
+from coudalfish import CouplingOptions, PenaltyRule
+
+CONVERGED = Setting(CouplingOptions.converged())
+
+
+# -- at rest ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_what_flows_at_a_held_arc_under_pressure_goes_down_with_the_mesh_and_up_with_the_pressure():
+    coarse, fine, light = HeldSheet(8).run(), HeldSheet(16).run(), HeldSheet(8, jump=1e-3).run()
+    assert fine.figures["velocity"] < 0.65 * coarse.figures["velocity"] < 6e-3
+    assert light.figures["velocity"] == pytest.approx(coarse.figures["velocity"], rel=0.05)
+    assert abs(fine.figures["load"]) < 2e-3
+    assert max(coarse.imbalance, fine.imbalance) < 1e-12
+
+
+@pytest.mark.mpi
+def test_a_converged_multiplier_has_no_pattern_that_grows():
+    arc = replace(LOADED_ARC, n=6, steps=200)
+    lagged, converged = arc.run(), arc.run(CONVERGED)
+    assert lagged.figures["growth"] > 0.2
+    assert converged.figures["growth"] < 0.02
+    assert converged.figures["pattern"] < 0.1
+    assert converged.passes.mean() < 1.1 < lagged.passes.mean()
+
+
+def test_a_shifted_sheet_stands_where_it_is_said_to():
+    places = [found.figures["velocity"] for found in HeldSheet(4, ramp=3, steps=3).shifted(places=3)]
+    alone = [HeldSheet(4, ramp=3, steps=3, place=0.37 + shift).run().figures["velocity"] for shift in (0, 1 / 3, 2 / 3)]
+    assert places == pytest.approx(alone, rel=1e-12)
+    assert len(set(np.round(places, 6))) == 3
+
+
+# -- swinging ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_damped_frequency_is_found_in_its_samples():
+    w, t = 6.1 + 0.4j, np.arange(80) / 50
+    assert damped_frequency((np.exp(1j * (w * t + 0.7))).real, 0.02) == pytest.approx(w, rel=1e-10)
+
+
+def test_the_exact_string_is_that_of_an_inviscid_fluid_with_thin_layers():
+    """It loses what the slip U of an inviscid fluid loses in a layer, U^2 sqrt(rho mu omega/8) on a side."""
+    for m in (1.0, 1e-3):
+        thin = String(mass_ratio=m, mu=1e-6, place=0.0)
+        slip = 1.0 / math.tanh(math.pi)
+        lost, mass = slip**2 * math.sqrt(math.pi * thin.mu / 4.0), thin.mass + 2.0 * slip / math.pi
+        assert thin.exact().real == pytest.approx(2.0 * math.pi, rel=1e-3)
+        assert thin.exact().imag == pytest.approx(2.0 * lost / mass, rel=5e-3)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("mass_ratio", [1.0, 1e-4])
+def test_a_string_swings_at_its_frequency_with_a_converged_multiplier(mass_ratio):
+    """A lagged one makes it late, or is a spring that swings along."""
+    string = String(16, 25, 2, mass_ratio)
+    lagged, converged = string.run(), string.run(CONVERGED)
+    assert lagged.figures["error"] > 0.09
+    assert abs(converged.figures["frequency"]) < 0.03
+    assert converged.figures["leak"] < 1e-6
+    assert converged.imbalance < 1e-12
+
+
+@pytest.mark.mpi
+def test_a_ring_keeps_its_area_with_a_converged_multiplier():
+    ring = Ring(16, steps=25)
+    lagged, converged = ring.run(), ring.run(CONVERGED)
+    assert lagged.figures["lost"] > 0.1
+    assert converged.figures["lost"] < 0.02
+    assert converged.figures["roundness"] > 0.9
+    assert converged.imbalance < 1e-12
+
+
+def test_the_exact_layers_of_a_plate_are_those_of_a_half_space():
+    plate = Plate(1.0)
+    assert plate.exact() == pytest.approx(-2.0 * plate.mu * (1.0 + 1.0j) * plate.n, rel=1e-9)
+
+
+@pytest.mark.mpi
+def test_a_plate_drags_its_layers_along():
+    thick, thin = (Plate(delta, n=16, steps_per_period=25, periods=2).run(CONVERGED) for delta in (4.0, 1.0))
+    assert thick.figures["error"] < 0.12
+    assert thin.figures["error"] < 0.3
+    assert max(thick.imbalance, thin.imbalance) < 1e-12
+
+
+# -- a gap ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_more_flows_through_a_wider_slit_and_nothing_through_the_plates():
+    narrow, wide = (Slit(gap, n=16, cfl=1.0).run(CONVERGED) for gap in (2.0, 4.0))
+    assert 0.3 < narrow.figures["flow"] < wide.figures["flow"] < 1.0
+    assert max(abs(narrow.figures["leak"]), abs(wide.figures["leak"])) < 1e-8
+    assert max(narrow.figures["change"], wide.figures["change"]) < 1e-3
+    assert wide.imbalance < 1e-12
+
+
+def test_a_slit_has_the_viscosity_that_its_flow_belongs_to():
+    slow, fast = Slit(2.0), Slit(2.0, reynolds=10.0)
+    assert slow.reference == pytest.approx(math.pi * (2.0 / 32) ** 2 / (32 * slow.mu))
+    assert fast.reference == pytest.approx(DISCHARGE[10.0] * 2.0 / 32 * math.sqrt(2.0))
+    for slit in (slow, fast):
+        assert slit.reference / slit.mu == pytest.approx(slit.reynolds)
+
+
+# -- settings ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_setting_is_read_from_text():
+    assert setting_of("default").options == CouplingOptions()
+    assert setting_of("steady(trace='exact')").options == CouplingOptions.steady(trace="exact")
+    setting = setting_of("default(penalty=(10, 0), immersed='other', C_t=1.0)")
+    assert setting.options == CouplingOptions(penalty=PenaltyRule(10, 0))
+    assert (setting.immersed, setting.flow.C_t) == ("other", 1.0)
+    assert setting.flow.solver == Setting().flow.solver
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("unknown", "'unknown' is no preset"),
+        ("default(1)", "preset or preset"),
+        ("'default'", "preset or preset"),
+        ("default(trace=print())", "malformed"),
+        ("default(nothing=1)", "nothing is no option"),
+    ],
+)
+def test_a_text_that_is_no_setting_is_refused(text, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        setting_of(text)
+
+
+def test_every_case_of_the_benchmark_names_figures_that_its_scene_documents():
+    for figures, scenes in STUDIES.values():
+        for scene in scenes.values():
+            assert all(f'"{name}"' in type(scene).run.__doc__ for name in figures)
