@@ -20,6 +20,7 @@ BEFORE_THE_END = {
     "cylinder": 1 / 3,
     "turek_hron_fsi3": 1 / 3,
     "manufactured": 0.0,
+    "immersed_cylinder": 0.0,
     "valve_2d": 0.0,
     "heart_valve": 0.0,
     "piston": 1 / 3,

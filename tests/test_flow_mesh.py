@@ -255,6 +255,21 @@ def test_a_box_is_a_grid_of_equal_cells_with_simplices_by_default():
     assert np.allclose(np.ptp(x, axis=1), (0.5, 1.0))
 
 
+@pytest.mark.mpi
+def test_diagonals_to_the_left_are_mirror_images_of_those_to_the_right():
+    """Cell by cell, with the numbers of their vertices, on which the stabilisation's metric depends."""
+
+    def corners(diagonal):
+        x = compat.cell_vertices(box(COMM, (0, 0), (4, 2), (4, 2), diagonal=diagonal).domain)[..., :2]
+        return np.concatenate(COMM.allgather(x)).reshape(-1, 6)
+
+    left, right = corners("left"), corners("right")
+    assert {tuple(cell) for cell in left} == {tuple(cell) for cell in right * ([-1, 1] * 3) + [4, 0] * 3}
+    for cells, rises in ((right, 1.0), (left, -1.0)):
+        sides = cells.reshape(-1, 3, 2) - np.roll(cells.reshape(-1, 3, 2), 1, axis=1)
+        assert np.all(sides[np.arange(len(sides)), np.abs(sides).sum(axis=2).argmax(axis=1)].prod(axis=1) == rises)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_vertex_0_of_a_cell_of_a_grid_has_the_smallest_coordinates(kind):
     x = compat.cell_vertices(grid(MPI.COMM_SELF, LINES[: 2 if kind in CELLS[2] else 3], kind).domain)
@@ -278,6 +293,12 @@ def test_vertex_0_of_a_cell_of_a_grid_has_the_smallest_coordinates(kind):
 def test_a_bad_box_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         box(MPI.COMM_SELF, *arguments)
+
+
+@pytest.mark.parametrize(("kind", "diagonal"), [("triangle", "up"), ("quadrilateral", "left"), ("tetrahedron", "left")])
+def test_another_diagonal_is_refused(kind, diagonal):
+    with pytest.raises(ValueError, match=f"diagonal = '{diagonal}': one of 'right'"):
+        grid(MPI.COMM_SELF, LINES[: 2 if kind in CELLS[2] else 3], kind, diagonal=diagonal)
 
 
 @pytest.mark.parametrize(

@@ -104,6 +104,32 @@ def test_points_lie_on_the_circle_the_cylinder_or_the_sphere(name, curve, distan
     assert np.abs(distance(x)).max() < 1e-14 * np.abs(x).max()
 
 
+@pytest.mark.parametrize("degree", [2, 3, 4])
+def test_a_circle_is_a_closed_curve_of_equal_parts(degree):
+    """Anticlockwise from the first axis, in the plane or in space."""
+    plane, space = (
+        surfaces.circle(radius=2.0, center=center, elements=8, degree=degree)
+        for center in ((1.0, 2.0), (1.0, 2.0, 3.0))
+    )
+    xi = np.linspace(0.0, 1.0, 33)[:, None]
+    x = plane.evaluate(xi)
+    assert np.abs(on_circle(x, 2.0, (1.0, 2.0))).max() < 1e-14
+    assert measure(plane, points=14) == pytest.approx(4 * PI, rel=1e-12)
+    np.testing.assert_allclose(x[[0, 8, 16, 32]], [[3, 2], [1, 4], [-1, 2], [3, 2]], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(space.evaluate(xi), np.insert(x, 2, 3.0, axis=1), rtol=0, atol=1e-14)
+    assert plane.bases[0].periodic
+    np.testing.assert_allclose(plane.bases[0].breakpoints, np.arange(9) / 8, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"degree": 1}, "degree = 1"), ({"radius": 0.0}, "radius = 0"), ({"elements": 0}, "elements")],
+)
+def test_a_bad_circle_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        surfaces.circle(**({"radius": 1.0, "elements": 4} | change))
+
+
 @pytest.mark.parametrize("name", SHAPES)
 def test_parts_are_equal_besides_the_ends_of_the_arcs(name):
     patch = make(name, elements=(3, 5), degrees=(3, 4))

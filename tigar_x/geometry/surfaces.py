@@ -1,4 +1,4 @@
-"""Factories of curved surfaces: exact round ones, and the leaflets of a heart valve.
+"""Factories of curved surfaces: exact round ones, and the leaflets of a heart valve; and of the circle as a curve.
 
 Round surfaces are rational and over [0, 1]^2. Arcs are quadratic, of equal spans of up to 90 degrees. Where two spans
 meet the functions are only C0, so that a thin shell would fold there as on a hinge; constraints make it smooth
@@ -23,6 +23,28 @@ from tigar_x.geometry.shapes import interpolated, one_per_direction, uniform, un
 LEAFLETS = 3
 ROUNDING = 1e-12
 """Angles closer than this are one; unit: radians."""
+
+
+def circle(*, radius: float, center: ArrayLike = (0.0, 0.0), elements: int, degree: int = 2) -> Patch:
+    """Circle as a curve, anticlockwise from the first axis, normal to the third axis.
+
+    Args:
+        radius: unit: length.
+        center: shape (nsd,), nsd = 2 or 3; unit: length.
+        elements: number of equal parts.
+        degree: polynomial degree, 2 or more.
+
+    Returns:
+        NURBS curve over [0, 1], periodic.
+
+    Raises:
+        ValueError: an argument is not as above.
+    """
+    R = checks.positive("radius", radius)
+    basis, points = _arc(2.0 * pi, checks.whole("degree", degree, 2))
+    x, y, w = points.T
+    control = np.column_stack([R * x, R * y, np.zeros_like(w), w]) @ _flat(center)
+    return _equal_parts(Patch((basis,), control), (elements,), (degree,))
 
 
 def disc(

@@ -156,7 +156,13 @@ def named(
 
 
 def box(
-    comm: MPI.Comm, lower: ArrayLike, upper: ArrayLike, elements: Sequence[int], cell: str | None = None
+    comm: MPI.Comm,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    elements: Sequence[int],
+    cell: str | None = None,
+    *,
+    diagonal: str = "right",
 ) -> NamedMesh:
     """Rectangle or box with cells of equal size.
 
@@ -166,14 +172,16 @@ def box(
         upper: the opposite corner, same shape.
         elements: numbers of intervals along the axes, same shape; simplices are halves or sixths of a cell.
         cell: "triangle" or "quadrilateral", "tetrahedron" or "hexahedron"; None: simplices.
+        diagonal: of the rectangles that triangles halve, which rises to the "right" or to the "left".
 
     Returns:
         The mesh; its sides are "left", "right" (along the first axis), "bottom", "top", and "back", "front".
 
     Raises:
-        ValueError: another dimension or cell, a corner that is not above the lower one, or fewer than one interval.
+        ValueError: another dimension, cell or diagonal, a corner that is not above the lower one, or fewer than one
+            interval.
     """
-    return grid(comm, equal_parts(lower, upper, elements), cell)
+    return grid(comm, equal_parts(lower, upper, elements), cell, diagonal=diagonal)
 
 
 def equal_parts(lower: ArrayLike, upper: ArrayLike, elements: Sequence[int]) -> list[FloatArray]:
@@ -200,25 +208,30 @@ def equal_parts(lower: ArrayLike, upper: ArrayLike, elements: Sequence[int]) -> 
     return [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
 
 
-def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None) -> NamedMesh:
+def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None, *, diagonal: str = "right") -> NamedMesh:
     """Rectangle or box with graded cells.
+
+    Triangles below diagonals that rise to the left are mirror images, with the numbers of their vertices.
 
     Args:
         comm: communicator.
         lines: for each of two or three axes the increasing coordinates of the grid's lines or planes, from one side
             to the other, two or more; unit: length.
         cell: as for :func:`box`.
+        diagonal: as for :func:`box`.
 
     Returns:
         The mesh; its sides have the names of :func:`box`.
 
     Raises:
-        ValueError: another number of axes or cell, or coordinates that do not increase.
+        ValueError: another number of axes, cell or diagonal, or coordinates that do not increase.
     """
     checks.listed("lines", lines)
     dim = checks.choice("number of axes in lines", len(lines), (2, 3))
     kind = getattr(mesh.CellType, checks.choice("cell", CELLS[dim][0] if cell is None else cell, CELLS[dim]))
     checks.kind("comm", comm, MPI.Comm, "a communicator, such as MPI.COMM_WORLD,")
+    diagonals = ("right", "left") if kind == mesh.CellType.triangle else ("right",)
+    mirrored = checks.choice("diagonal", diagonal, diagonals) == "left"
     axes = [checks.array(f"lines[{i}]", line, (None,)) for i, line in enumerate(lines)]
     for i, line in enumerate(axes):
         if len(line) < 2 or not (np.diff(line) > 0.0).all():
@@ -227,7 +240,8 @@ def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None) ->
     make = mesh.create_rectangle if dim == 2 else mesh.create_box
     domain = make(comm, [np.zeros(dim), np.array(counts, dtype=np.float64)], counts, kind)
     for i, line in enumerate(axes):
-        domain.geometry.x[:, i] = line[np.rint(domain.geometry.x[:, i]).astype(int)]
+        number = np.rint(domain.geometry.x[:, i]).astype(int)
+        domain.geometry.x[:, i] = line[counts[0] - number if mirrored and i == 0 else number]
     return named(domain, **sides_of(axes))
 
 

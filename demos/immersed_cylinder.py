@@ -1,0 +1,100 @@
+"""Flow around a rigid cylinder that the mesh does not know: a closed curve immersed in a channel, at Re = 20.
+
+The channel (0, 2.2) x (0, 0.41) holds a cylinder of diameter D = 0.1 around (0.2, 0.2). Fluid of density 1 and
+viscosity 1e-3 enters with a parabola of mean speed U = 0.2, does not slip on walls and cylinder, and leaves freely. The
+cells are halves of squares, or nearly so; the cylinder is a shell that nothing moves, with fluid inside as well. From
+the parabola everywhere, time steps lead to the steady flow.
+
+With the force F of the fluid on the shell per unit depth, the coefficients of drag and lift are 2 F/(rho U^2 D). dp is
+the difference of pressure over rho U^2 between the foremost and the rearmost point of the cylinder, where the field of
+the pressure has no value of its own: each is extrapolated from one and two cells away.
+
+Source: the steady benchmark of Schaefer and Turek, with the values of John and Matthies, doi:10.1002/fld.195.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from mpi4py import MPI
+
+from coudalfish import CouDALFISh, CouplingOptions
+from shnapr import Shell, StVenantKirchhoff
+from shnapr.supports import fixed
+from tigar_x import PlaneField, Results, against, checks, draw, generalized_alpha, over_time, script, with_results
+from tigar_x.geometry import surfaces
+from tigar_x.run.summary import deviations
+from tigar_x.splines import sampling
+from varmint import Flow, PointValues, Traction, Velocity, box, movie
+from varmint.problems.cylinder import DIAMETER, FRONT_AND_REAR, HEIGHT, PUBLISHED
+from varmint.profiles import parabola
+
+TOY = {"cells": 10, "dt": 0.1, "until": 0.5}
+SPEED, RHO, MU, LENGTH, CENTER = 0.2, 1.0, 1e-3, 2.2, np.mean(FRONT_AND_REAR, axis=0)
+PRESETS = {
+    "default": ({"immersed": True}, CouplingOptions()),
+    "steady": ({"immersed": True}, CouplingOptions.steady()),
+    "reference": ({"immersed": True}, CouplingOptions.reference()),
+}
+"""By name: what else the flow is made with, and how it is coupled."""
+
+
+@dataclass(frozen=True)
+class Immersed:
+    """The channel and the cylinder, discretised.
+
+    Attributes:
+        cells: of the fluid across the channel's height.
+        dt: time step.
+        preset: of the coupling: this library's defaults, those for pressure that rests on a surface, or the published
+            algorithm.
+        diagonal: whether the diagonals that make triangles of squares rise to the right or to the left.
+    """
+
+    cells: int = 40
+    dt: float = 0.02
+    preset: Literal[tuple(PRESETS)] = "default"
+    diagonal: Literal["right", "left"] = "right"
+
+    def build(self) -> tuple[Flow, Shell, CouDALFISh]:
+        """The parabola's flow and the cylinder, and both coupled."""
+        n, more, options = checks.whole("cells", self.cells, 6), *PRESETS[self.preset]
+        mesh = box(MPI.COMM_WORLD, (0, 0), (LENGTH, HEIGHT), (round(LENGTH / HEIGHT * n), n), diagonal=self.diagonal)
+        sides = [Velocity(("bottom", "top")), Velocity("left", parabola(HEIGHT, SPEED)), Traction("right")]
+        flow = Flow(mesh, sides, rho=RHO, mu=MU, dt=self.dt, scheme=generalized_alpha(0.0), **more)
+        flow.start(parabola(HEIGHT, SPEED))
+        parts = round(2.0 * np.pi * DIAMETER * n / HEIGHT)  # two in the length of a cell
+        circle = surfaces.circle(radius=DIAMETER / 2.0, center=CENTER, elements=parts)
+        shell = Shell(circle, StVenantKirchhoff(1.0, 0.3, 0.01), density=1.0, zero_dofs=fixed(circle))
+        return flow, shell, CouDALFISh(flow, shell, options)
+
+
+@with_results(checkpoint_every=0)
+def main(results: Results, scene: Immersed, until: float = 8.0) -> dict[str, Any]:
+    """March to the steady flow around an immersed cylinder, and compare its forces with the published ones.
+
+    Args:
+        until: end; the flow is steady from about 6 on.
+    """
+    flow, shell, fsi = scene.build()
+    cell, columns = np.outer((-1.0, 1.0), (HEIGHT / scene.cells, 0.0)), {"t_alpha": "t_alpha", "passes": "passes"}
+    near, far, inside = (PointValues(flow, x) for x in (FRONT_AND_REAR + cell, FRONT_AND_REAR + 2.0 * cell, [CENTER]))
+    columns["drag", "lift"] = lambda report: np.divide(report.monitors.force, RHO * SPEED**2 * DIAMETER / 2.0)
+    columns["dp"] = lambda: -np.diff((2.0 * near() - far())[:, -1])[0] / (RHO * SPEED**2)
+    columns |= {"pressure_inside": lambda: inside()[0, -1] / (RHO * SPEED**2), "leak": "monitors.leak"}
+    files = movie(flow, results.out / "fluid.vtkhdf")
+    run = results.run(fsi, until=until, frames=20, series=[files], history=columns).through()
+    past, (doi, known) = run.history, PUBLISHED[20.0, True]
+    if run.finished and results.viz:
+        seen = {"length": "m", "immersed": sampling.line(shell.spline, 0, 129).positions(shell.y)}
+        fields = PlaneField(flow.w).speed("m/s", **seen), PlaneField(flow.w).signed("pressure", "Pa", **seen)
+        levels = {f"published {name}": known[name] for name in ("drag", "lift")}
+        course = over_time(past, {"drag": "drag", "lift": "lift"}, y=("coefficient", "-"), time="s", levels=levels)
+        draw(results.out / "immersed_cylinder.png", *fields, course, columns=1, size=(10.0, 2.6))
+    drag, qoi = past.course("drag").last(share=0.1), against({name: past[name][-1] for name in known}, known, doi)
+    monitors = {"drift": np.ptp(drag.y) / abs(drag.y[-1]), "pressure_inside": past["pressure_inside"][-1]}
+    return results.of_run(run, doi=doi, qoi=qoi, errors=deviations(qoi), monitors=monitors)
+
+
+if __name__ == "__main__":
+    script.command_line(main)
