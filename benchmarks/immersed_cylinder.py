@@ -121,7 +121,7 @@ def shown(rows: Iterable[dict[str, Any]]) -> list[list[Any]]:
 
 
 def main(
-    presets: str = "default,steady,reference",
+    presets: str = "default,reference,converged",
     cells: str = "20,40",
     time_steps: str = "0.05,0.02,0.005",
     diagonals: str = "right,left",

@@ -1,9 +1,8 @@
 """Flow around a rigid cylinder that the mesh does not know: a closed curve immersed in a channel, at Re = 20.
 
 The channel (0, 2.2) x (0, 0.41) holds a cylinder of diameter D = 0.1 around (0.2, 0.2). Fluid of density 1 and
-viscosity 1e-3 enters with a parabola of mean speed U = 0.2, does not slip on walls and cylinder, and leaves freely. The
-cells are halves of squares, or nearly so; the cylinder is a shell that nothing moves, with fluid inside as well. From
-the parabola everywhere, time steps lead to the steady flow.
+viscosity 1e-3 enters with a parabola of mean speed U = 0.2, does not slip on walls and cylinder, and leaves freely.
+The cylinder is a shell that does not move, with fluid inside. Time steps lead from the parabola to the steady flow.
 
 With the force F of the fluid on the shell per unit depth, the coefficients of drag and lift are 2 F/(rho U^2 D). dp is
 the difference of pressure over rho U^2 between the foremost and the rearmost point of the cylinder, where the field of
@@ -25,18 +24,18 @@ from tigar_x import PlaneField, Results, against, checks, draw, generalized_alph
 from tigar_x.geometry import surfaces
 from tigar_x.run.summary import deviations
 from tigar_x.splines import sampling
-from varmint import Flow, PointValues, Traction, Velocity, box, movie
+from varmint import Flow, FlowOptions, PointValues, Traction, Velocity, box, movie
 from varmint.problems.cylinder import DIAMETER, FRONT_AND_REAR, HEIGHT, PUBLISHED
 from varmint.profiles import parabola
 
 TOY = {"cells": 10, "dt": 0.1, "until": 0.5}
 SPEED, RHO, MU, LENGTH, CENTER = 0.2, 1.0, 1e-3, 2.2, np.mean(FRONT_AND_REAR, axis=0)
 PRESETS = {
-    "default": ({"immersed": True}, CouplingOptions()),
-    "steady": ({"immersed": True}, CouplingOptions.steady()),
-    "reference": ({"immersed": True}, CouplingOptions.reference()),
+    "default": ({}, CouplingOptions()),
+    "reference": ({}, CouplingOptions.reference()),
+    "converged": ({"options": FlowOptions(subscales="dynamic")}, CouplingOptions.converged()),
 }
-"""By name: what else the flow is made with, and how it is coupled."""
+"""By name: what the flow has besides what all have, and how it is coupled."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,8 @@ class Immersed:
     Attributes:
         cells: of the fluid across the channel's height.
         dt: time step.
-        preset: of the coupling: this library's defaults, those for pressure that rests on a surface, or the published
-            algorithm.
+        preset: this library's defaults, the published algorithm, or a method that does not know the time step: a
+            multiplier converged in every step, and dynamic sub-scales.
         diagonal: whether the diagonals that make triangles of squares rise to the right or to the left.
     """
 
@@ -61,10 +60,11 @@ class Immersed:
         n, more, options = checks.whole("cells", self.cells, 6), *PRESETS[self.preset]
         mesh = box(MPI.COMM_WORLD, (0, 0), (LENGTH, HEIGHT), (round(LENGTH / HEIGHT * n), n), diagonal=self.diagonal)
         sides = [Velocity(("bottom", "top")), Velocity("left", parabola(HEIGHT, SPEED)), Traction("right")]
-        flow = Flow(mesh, sides, rho=RHO, mu=MU, dt=self.dt, scheme=generalized_alpha(0.0), **more)
+        known = {"rho": RHO, "mu": MU, "dt": self.dt, "scheme": generalized_alpha(0.0), "immersed": True}
+        flow = Flow(mesh, sides, **(known | more))
         flow.start(parabola(HEIGHT, SPEED))
         parts = round(2.0 * np.pi * DIAMETER * n / HEIGHT)  # two in the length of a cell
-        circle = surfaces.circle(radius=DIAMETER / 2.0, center=CENTER, elements=parts)
+        circle = surfaces.full_circle(radius=DIAMETER / 2.0, center=CENTER, elements=parts)
         shell = Shell(circle, StVenantKirchhoff(1.0, 0.3, 0.01), density=1.0, zero_dofs=fixed(circle))
         return flow, shell, CouDALFISh(flow, shell, options)
 

@@ -108,7 +108,7 @@ def test_points_lie_on_the_circle_the_cylinder_or_the_sphere(name, curve, distan
 def test_a_circle_is_a_closed_curve_of_equal_parts(degree):
     """Anticlockwise from the first axis, in the plane or in space."""
     plane, space = (
-        surfaces.circle(radius=2.0, center=center, elements=8, degree=degree)
+        surfaces.full_circle(radius=2.0, center=center, elements=8, degree=degree)
         for center in ((1.0, 2.0), (1.0, 2.0, 3.0))
     )
     xi = np.linspace(0.0, 1.0, 33)[:, None]
@@ -127,7 +127,7 @@ def test_a_circle_is_a_closed_curve_of_equal_parts(degree):
 )
 def test_a_bad_circle_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
-        surfaces.circle(**({"radius": 1.0, "elements": 4} | change))
+        surfaces.full_circle(**({"radius": 1.0, "elements": 4} | change))
 
 
 @pytest.mark.parametrize("name", SHAPES)

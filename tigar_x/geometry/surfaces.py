@@ -25,7 +25,7 @@ ROUNDING = 1e-12
 """Angles closer than this are one; unit: radians."""
 
 
-def circle(*, radius: float, center: ArrayLike = (0.0, 0.0), elements: int, degree: int = 2) -> Patch:
+def full_circle(*, radius: float, center: ArrayLike = (0.0, 0.0), elements: int, degree: int = 2) -> Patch:
     """Circle as a curve, anticlockwise from the first axis, normal to the third axis.
 
     Args:
