@@ -31,7 +31,7 @@ TOY = {"level": 1, "dt_factor": 1.0}
 
 
 def build(
-    d: int, level: int, steps: int, options: CouplingOptions, solver: Any = None, *, projected: bool, data: Any
+    d: int, level: int, steps: int, how: CouplingOptions, solver: Any = None, *, projected: bool, data: Any, **more: Any
 ) -> tuple[Flow, Shell, CouDALFISh]:
     """Flow and membrane at a refinement level, and both coupled, before the first step."""
     mesh = box(MPI.COMM_WORLD, *problem.fluid_box(data, d, level))
@@ -41,12 +41,12 @@ def build(
         return lambda x, t: getattr(problem.exact_flow(x, t, c), name)
 
     sides, ends = WeakVelocity(("left", "right", "bottom", "top"), exact("u")), Slip(("back", "front"))
-    known = {"rho": c.rho, "mu": c.mu, "f": exact("f"), "dt": data.T / steps}
+    known = {"rho": c.rho, "mu": c.mu, "f": exact("f"), "dt": data.T / steps, "immersed": True} | more
     scheme, chosen = generalized_alpha(data.rho_infinity), FlowOptions(pin_at=[0.0] * d, solver=solver)
-    flow = Flow(mesh, [sides, ends] if d == 3 else [sides], **known, scheme=scheme, immersed=True, options=chosen)
+    flow = Flow(mesh, [sides, ends] if d == 3 else [sides], **known, scheme=scheme, options=chosen)
     flow.start(exact("u"), exact("p"), projected=True)
     shell = problem.membrane(data, d, 2 ** (level + 3), projected=projected)
-    return flow, shell, CouDALFISh(flow, shell, options, multiplier=data.DP)
+    return flow, shell, CouDALFISh(flow, shell, how, multiplier=data.DP)
 
 
 @with_results(checkpoint_every=0)
@@ -54,7 +54,7 @@ def main(
     results: Results,
     dim: Literal[2, 3] = 2,
     level: int = 2,
-    preset: Literal["reference", "default"] = "default",
+    preset: Literal["reference", "default", "sharp"] = "default",
     dt_factor: float = 1.0,
     initial_velocity: Literal["projected", "interpolated"] | None = None,
 ) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def main(
     Args:
         dim: dimension of space, 2 or 3 (one layer).
         level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
-        preset: the published algorithm, or this library's defaults.
+        preset: the published algorithm, the defaults, or in the plane fields that differ on both sides of the membrane.
         dt_factor: time step relative to the published one, T/(2 N).
         initial_velocity: membrane velocity at t = 0, projected as in the published code or interpolated;
             default: projected for the reference preset, else interpolated.
@@ -71,8 +71,9 @@ def main(
     data, out, reference = problem.ProblemData(), results.out, preset == "reference"
     steps = max(1, round(2 * problem.cells_per_side(level) / checks.positive("dt_factor", dt_factor)))
     start = initial_velocity or ("projected" if reference else "interpolated")
-    options = CouplingOptions.reference() if reference else CouplingOptions()
-    flow, shell, fsi = build(dim, level, steps, options, projected=start == "projected", data=data)
+    presets = {"reference": CouplingOptions.reference, "default": CouplingOptions, "sharp": CouplingOptions.sharp}
+    options, immersed = presets[preset](), "jump and kink" if preset == "sharp" else True
+    flow, shell, fsi = build(dim, level, steps, options, projected=start == "projected", data=data, immersed=immersed)
     fields = {"velocity": shell.time.xdot_old, "multiplier": lambda: fsi.lam, "normal": fsi.shell.normals}
     files = movie(flow, out / "fluid.vtkhdf"), partial(VTUSeries, out / "shell", shell.spline, y=shell.y, **fields)
     columns = {"t_alpha": "t_alpha", "passes": "passes"}

@@ -8,16 +8,16 @@ import ufl
 from tigar_x import compat
 from varmint.flow.flow import Flow
 from varmint.forms import ale
-from varmint.forms.sides import SIGNS
 from varmint.forms.space import split
 
 
-def velocity_errors(flow: Flow, exact: Callable[[Any, Any], Any], degree: int | None = None) -> dict[str, float]:
+def velocity_errors(flow: Flow, exact: Callable[..., Any], degree: int | None = None) -> dict[str, float]:
     """Norms of the error of the velocity at the end of the last step (collective).
 
     Args:
         flow: the flow.
-        exact: UFL vector of position and time; at rest of a steady flow the time is zero.
+        exact: UFL vector of position and time, and in a flow whose fields differ on both sides of a surface of the side
+            as well, see :func:`integral_by_sides`; at rest of a steady flow the time is zero.
         degree: of the quadrature; None: twice that of the flow.
 
     Returns:
@@ -25,8 +25,20 @@ def velocity_errors(flow: Flow, exact: Callable[[Any, Any], Any], degree: int | 
     """
     domain, motion = flow.mesh.domain, flow.fields.motion_end
     t = compat.Constant(domain, 0.0 if flow.time is None else flow.time.time)
-    e = split(flow.w)[0] - exact(ale.position(domain, motion), t)
-    dx = flow.mesh.dx(degree=2 * flow.degree if degree is None else degree)
+    x, degree = ale.position(domain, motion), 2 * flow.degree if degree is None else degree
+    if flow.sides is not None:
+
+        def square(v: Any, s: Any) -> Any:
+            return ufl.inner(v - exact(x, t, s), v - exact(x, t, s))
+
+        def of_gradient(v: Any, s: Any) -> Any:
+            e = ufl.grad(v - exact(x, t, s))
+            return ufl.inner(e, e)
+
+        H1, L2 = (flow.sides.integral(lambda v, p, s, f=f: f(v, s), degree) for f in (of_gradient, square))
+        return {"H1_u": H1**0.5, "L2_u": L2**0.5}
+    e = split(flow.w)[0] - exact(x, t)
+    dx = flow.mesh.dx(degree=degree)
     squares = [ale.per_volume(ufl.inner(f, f), motion) * dx for f in (ale.gradient(e, motion), e)]
     H1, L2 = map(compat.assemble_scalar, compat.compile_forms(*squares))
     return {"H1_u": float(H1**0.5), "L2_u": float(L2**0.5)}
@@ -37,24 +49,12 @@ def integral_by_sides(flow: Flow, f: Callable[[Any, Any, Any], Any], degree: int
 
     Args:
         flow: made with ``immersed="jump"`` or ``"jump and kink"``, and coupled.
-        f: UFL scalar of the velocity, the pressure and the side, which is -1 or 1, or 0 in cells that are not near the
-            surface, as UFL or as a number; of degree 2 or less in divided cells for an exact result.
+        f: UFL scalar of the velocity, the pressure and the side, see :meth:`varmint.flow.sides.FlowSides.integral`.
         degree: of the quadrature.
 
     Raises:
         ValueError: nothing differs in the flow.
     """
-    sides = flow.sides
-    if sides is None:
+    if flow.sides is None:
         raise ValueError("flow has no sides: Flow(..., immersed='jump and kink') is required")
-    doubled, dx = sides.doubled, flow.mesh.dx(degree=degree)
-    doubled.join(last=True)
-    side = ufl.conditional(ufl.lt(sides.phi, 0.0), -1.0, 1.0)
-    v, p = split(flow.w)
-    plain = f(v, p, ufl.conditional(ufl.gt(sides.size, 0.0), side, 0.0))
-    divided = 0
-    for s in SIGNS:
-        v, p = sides.fields(s)
-        divided += sides.weight(s) * f(v, p, s)
-    parts = (plain, ~doubled.cells), (divided, doubled.cells)
-    return float(sum(compat.assemble_scalar(compat.PartialForm(g * dx).on(cells)) for g, cells in parts))
+    return float(flow.sides.integral(f, degree))

@@ -51,11 +51,14 @@ class FluidSubproblem:
         trace_dofs: local dofs of the velocities that a trace may stand for, shape (nodes, d).
         free: mask of those that no strong condition holds, shape (nodes, d).
         moving: as given.
+        sides: what differs on both sides of the surface, see :mod:`coudalfish.sides.sided_fluid`; None: nothing.
 
     Raises:
         ValueError: the unknown has not d + 1 components, points cannot be located in the mesh that moves, or something
             that belongs to the residual was not handed over, see :mod:`coudalfish.sides.handover`.
     """
+
+    sides: Any = None
 
     def __init__(
         self,

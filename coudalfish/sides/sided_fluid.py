@@ -40,6 +40,14 @@ class FluidSides(Protocol):
     wall: fem.Function
     doubled: Doubled
 
+    def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 4) -> float:
+        """Integral over the flow at the end of the last step (collective).
+
+        Args:
+            f: UFL scalar of the velocity, the pressure and the side, -1 or 1 or, where no surface is near, 0.
+            degree: of the quadrature.
+        """
+
 
 class SidedFluid(FluidSubproblem):
     """A flow whose pressure jumps, and whose velocity may be kinked, at the surface.

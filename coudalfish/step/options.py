@@ -159,6 +159,16 @@ class CouplingOptions:
         return cls(multiplier="converged", penalty=PenaltyRule(10.0, 0.0)).with_(**changes)
 
     @classmethod
+    def sharp(cls, **changes: Any) -> "CouplingOptions":
+        """For flows whose fields differ on both sides of the surface, ``Flow(..., immersed="jump and kink")``.
+
+        Args:
+            changes: other options.
+        """
+        kept = {"trace": "exact", "multiplier_direction": "vector", "fluid_tangent": "consistent"}
+        return cls.converged(**kept | changes)
+
+    @classmethod
     def reference(cls, **changes: Any) -> "CouplingOptions":
         """The published algorithm (doi:10.1016/j.camwa.2020.01.023): its equations and its stopping test.
 

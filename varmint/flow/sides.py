@@ -5,7 +5,7 @@ a kink of the velocity as well, see :mod:`varmint.forms.sides`; where these are 
 knows the surface says at the start of a step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -20,6 +20,7 @@ from varmint.flow.sided_time import SidedTime
 from varmint.flow.state import FlowState
 from varmint.flow.terms import Interior
 from varmint.forms.sides import SIGNS, Sides, sided_residual, weighted
+from varmint.forms.space import split
 
 DEGREE = 2
 """Degree of the polynomials that weights of sides integrate exactly."""
@@ -47,6 +48,7 @@ class FlowSides:
 
     def __init__(self, state: FlowState, interior: Interior, conditions: Sequence[Condition], kind: str) -> None:
         domain, time = state.mesh.domain, cast(SidedTime, state.time)
+        self._state = state
         d, self.is_kinked = domain.geometry.dim, kind == KINDS[1]
         linear, weights = compat.lagrange_space(domain, 1), compat.lagrange_space(domain, DEGREE, discontinuous=True)
         self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
@@ -69,6 +71,25 @@ class FlowSides:
     def weight(self, s: float) -> Any:
         """Weight of a side in divided cells, UFL."""
         return Sides(self.phi, self.size, self.negative).weight(s)
+
+    def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 2 * DEGREE) -> float:
+        """Integral over the flow at the end of the last step, side by side in divided cells (collective).
+
+        Args:
+            f: UFL scalar of the velocity, the pressure and the side, which is -1 or 1, or 0 in cells that are not near
+                the surface, as UFL or as a number; of degree 2 or less in divided cells for an exact result.
+            degree: of the quadrature, at least 4 in divided cells.
+        """
+        self.doubled.join(last=True)
+        side = ufl.conditional(ufl.lt(self.phi, 0.0), SIGNS[0], SIGNS[1])
+        plain = f(*split(self._state.w), ufl.conditional(ufl.gt(self.size, 0.0), side, 0.0))
+        divided = sum(self.weight(s) * f(*self.fields(s), s) for s in SIGNS)
+        mesh, cells = self._state.mesh, self.doubled.cells
+        parts = (
+            (plain * mesh.dx(degree=degree), ~cells),
+            (divided * mesh.dx(degree=max(degree, 2 * DEGREE)), cells),
+        )
+        return float(sum(compat.assemble_scalar(compat.PartialForm(form).on(chosen)) for form, chosen in parts))
 
     def _parts(self, f: Any) -> tuple[Any, Any, Any, Any]:
         """Velocity, pressure, kink and jump of a field of divided cells."""
