@@ -247,15 +247,16 @@ class Made:
         object.__setattr__(self, name, value)
 
     def _check_part(self, name: str, value: Any) -> None:
-        present, what = self.__dict__.get(name), f"{type(self).__name__}.{name} = {value!r}"
+        present = self.__dict__.get(name)
         if isinstance(present, ufl.Constant) and value is not present:
-            raise AttributeError(f"{what}: the equations have its Constant; {name}.value is what can be set")
-        if name in self._PARTS:
-            raise AttributeError(
-                f"{what}: it belongs to what is made already; another {type(self).__name__} is required"
-            )
-        if name in self._ELSEWHERE:
-            raise AttributeError(f"{what}: {self._ELSEWHERE[name]} is what can be set")
+            why = f"the equations have its Constant; {name}.value is what can be set"
+        elif name in self._PARTS:
+            why = f"it belongs to what is made already; another {type(self).__name__} is required"
+        elif name in self._ELSEWHERE:
+            why = f"{self._ELSEWHERE[name]} is what can be set"
+        else:
+            return  # before an array is written out
+        raise AttributeError(f"{type(self).__name__}.{name} = {value!r}: {why}")
 
 
 def having(name: str, value: Any, names: str, wanted: str) -> None:

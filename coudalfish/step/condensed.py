@@ -13,7 +13,8 @@ one is multiplied by beta, so that all rows are forces.
 """
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -51,6 +52,7 @@ class Linearised:
         W: areas, zero at inactive points, shape (points d,).
         H: functions of the multiplier, zero where it acts on nothing, shape (points d, functions).
         P: displacements of the points by the shell's coefficients, shape (points d, coefficients).
+        P_t: its transpose.
         solve_shell: A_s^-1 times its argument, shape (coefficients,), or each of its columns.
         beta: penalty.
         a_s: derivative of y' by y.
@@ -62,6 +64,7 @@ class Linearised:
     W: FloatArray
     H: sp.csr_matrix
     P: sp.csr_matrix
+    P_t: sp.csr_matrix
     solve_shell: Callable[[FloatArray], FloatArray]
     beta: float
     a_s: float
@@ -72,40 +75,37 @@ class Linearised:
         return self.fluid.trace_dofs[self.trace.nodes]
 
     @cached_property
+    def entries(self) -> Any:
+        """Where these dofs are in a vector of the flow on one rank, -1: nowhere, shape (nodes, d)."""
+        return self.fluid.system.entries[self.dofs]
+
+    @cached_property
+    def known(self) -> Any:
+        """Mask of those that are somewhere, shape (nodes, d)."""
+        return self.entries >= 0
+
+    @cached_property
     def free(self) -> FloatArray:
         """One where a velocity is free, zero where it is held, shape (nodes, d)."""
         return self.fluid.free[self.trace.nodes].astype(np.float64)
 
     @cached_property
-    def H_t_W(self) -> sp.csr_matrix:
-        """Means of the functions, ``H' W``."""
-        return (self.H.T @ sp.diags(self.W)).tocsr()
-
-    @cached_property
-    def P_t_W(self) -> sp.csr_matrix:
-        """Forces on the shell of forces per area, ``P' W``."""
-        return (self.P.T @ sp.diags(self.W)).tocsr()
-
-    @cached_property
-    def a_P(self) -> sp.csr_matrix:
-        """Velocity of the points by the coefficients, ``a_s P``."""
-        return (self.a_s * self.P).tocsr()
-
-    @cached_property
-    def gram(self) -> sp.csr_matrix:
-        """``eps H'WH``."""
-        return (WEAK * (self.H_t_W @ self.H)).tocsr()
+    def H_t(self) -> sp.csr_matrix:
+        """Functions by points, shape (functions, points d)."""
+        return self.H.T.tocsr()
 
     @cached_property
     def idle(self) -> Any:
         """Mask of the functions that act on nothing."""
-        return np.asarray(self.H_t_W.multiply(self.H_t_W).sum(axis=1)).ravel() == 0.0
+        return self.H_t.multiply(self.H_t) @ self.W == 0.0
+
+    def moved(self, forces: FloatArray) -> FloatArray:
+        """Velocity with which the shell gives way to forces at the points, or to columns: ``a_s P A_s^-1 P'``."""
+        return np.asarray(self.a_s * (self.P @ self.solve_shell(self.P_t @ forces)))
 
     def to_nodes(self, forces: FloatArray) -> FloatArray:
-        """This rank's share of forces at the points, at local dofs with ghosts."""
-        b = np.zeros(self.fluid.system.local_size)
-        b[self.dofs] = self.free * (self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1]))
-        return b
+        """This rank's share of forces at the points on the trace's nodes, shape (nodes, d)."""
+        return np.asarray(self.free * (self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1])))
 
 
 class Preconditioner:
@@ -123,33 +123,41 @@ class Preconditioner:
 
     def __init__(self, at: Linearised) -> None:
         self.at = at
-        n = at.H.shape[1]
-        Q = at.P @ at.solve_shell(at.P_t_W @ at.H.toarray())
-        self._forces = at.H.toarray() - at.beta * at.a_s * Q
-        S = at.a_s * (at.H_t_W @ Q) + at.fluid.timeInt.x_factor * self._by_fluid() + at.gram.toarray() / at.beta
+        H = at.H.toarray()
+        WH = at.W[:, None] * H
+        moved = at.moved(WH)
+        self._forces = H - at.beta * moved
+        S = WH.T @ (moved + WEAK / at.beta * H) + at.fluid.timeInt.x_factor * self._by_fluid()
         S[at.idle, at.idle] = 1.0
-        if not np.isfinite(S).all() or n == 0:
+        if not np.isfinite(S).all() or not S.size:
             raise SolveError("the multiplier's system is not finite")
         self._factors = la.lu_factor(S, check_finite=False)
 
     def _by_fluid(self) -> FloatArray:
         """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
-        at, fluid = self.at, self.at.fluid
-        T = at.trace.B.tocoo()
+        at, diagonal = self.at, self.at.fluid.diagonal()
+        if at.fluid.comm.size == 1:
+            T, inverse = at.trace.B, at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
+        else:
+            T, inverse = self._from_all_ranks(diagonal)
+        WG = (at.W[:, None] * self._forces).reshape(T.shape[0], -1)
+        C = (T.T @ WG).reshape(inverse.size, self._forces.shape[1])
+        return np.asarray(C.T @ (inverse.ravel()[:, None] * C))
+
+    def _from_all_ranks(self, diagonal: FloatArray) -> tuple[sp.csr_matrix, FloatArray]:
+        """The whole trace, and the inverse of the diagonal at its nodes, the same on every rank (collective)."""
+        at, fluid, T = self.at, self.at.fluid, self.at.trace.B.tocoo()
         share = T.row, fluid.names(at.trace.nodes)[T.col], T.data
         parts = [np.concatenate(part) for part in zip(*fluid.comm.allgather(share), strict=True)]
         nodes, column = np.unique(parts[1], return_inverse=True)
         whole = sp.csr_matrix((parts[2], (parts[0], column.ravel())), shape=(T.shape[0], len(nodes)))
         own = fluid.owned_nodes(nodes)
         mine = own >= 0
-        diagonal = fluid.diagonal()
         inverse = np.zeros((len(nodes), at.dofs.shape[1]))
         dofs, free = fluid.trace_dofs[own[mine]], fluid.free[own[mine]]
         inverse[mine] = np.where(free, 1.0 / np.where(free, diagonal[dofs], 1.0), 0.0)
         fluid.comm.Allreduce(MPI.IN_PLACE, inverse, op=MPI.SUM)
-        WG = (at.W[:, None] * self._forces).reshape(T.shape[0], -1)
-        C = (whole.T @ WG).reshape(inverse.size, self._forces.shape[1])
-        return np.asarray(C.T @ (inverse.ravel()[:, None] * C))
+        return whole, inverse
 
     def multiplier(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Increment of the multiplier's coefficients, and its forces at the points."""
@@ -167,9 +175,10 @@ class CondensedSystem:
         functions: number of the multiplier's functions.
 
     Attributes:
-        at: the parts; None: there are none yet.
+        at: the parts.
         preconditioner: see :class:`Preconditioner`.
         iterations: of the last solve.
+        increment: of the flow, of the last solve.
     """
 
     at: Linearised
@@ -180,7 +189,8 @@ class CondensedSystem:
         self._n, self._own = b.getLocalSize(), functions if self._comm.rank == 0 else 0
         self._functions = functions
         sizes = self._n + self._own, b.getSize() + functions
-        self._flow, self._result, self._vector = b.duplicate(), b.duplicate(), b.duplicate()
+        self._flow, self.increment = b.duplicate(), b.duplicate()
+        self._given, self._result = fluid.system.A.createVecs()  # of parts of the unknowns, which are not copied
         self._A = PETSc.Mat().createPython((sizes, sizes), _Product(self), comm=b.comm)
         self._A.setUp()
         self._rhs, self._x = self._A.createVecs()
@@ -193,8 +203,8 @@ class CondensedSystem:
         pc = self._ksp.getPC()
         pc.setType("python")
         pc.setPythonContext(_Triangle(self))
-        made = (self._flow, self._result, self._vector, self._A, self._rhs, self._x, self._ksp)
-        compat.freed_with(self, *made)
+        vectors = (self._flow, self.increment, self._given, self._result, self._rhs, self._x)
+        compat.freed_with(self, *vectors, self._A, self._ksp)
         self.iterations = 0
 
     def solve(
@@ -217,15 +227,15 @@ class CondensedSystem:
             SolveError: GMRES failed.
         """
         at = self.at
-        z = at.a_P @ at.solve_shell(r_s)
-        at.fluid.system.from_local(at.to_nodes(at.beta * at.W * z), self._result)
+        z = at.a_s * (at.P @ at.solve_shell(r_s))
         rhs = self._rhs.array_w
-        rhs[: self._n] = b_f.array_r + self._result.array_r
+        rhs[: self._n] = b_f.array_r
+        self._add(at.to_nodes(at.beta * at.W * z), rhs[: self._n])
         if self._own:
-            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.H_t_W @ z))
+            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.H_t @ (at.W * z)))
         norm = float(self._rhs.norm())
         if norm == 0.0:
-            self._vector.set(0.0)
+            self.increment.set(0.0)
             self.iterations = 0
             return norm, np.zeros(self._functions)
         smallest = max(min(RTOL * max(norm, reference), 0.1 * accepted), ROUNDED * norm)
@@ -238,55 +248,76 @@ class CondensedSystem:
         if reason <= 0 or not np.isfinite(self._x.norm()):
             raise SolveError(f"GMRES of flow and multiplier failed after {self.iterations} iterations ({reason})")
         x = self._x.array_r
-        self._vector.array_w[:] = x[: self._n]
+        self.increment.array_w[:] = x[: self._n]
         c = x[self._n :].copy() if self._own else np.empty(self._functions)
         if self._comm.size > 1:
             self._comm.Bcast(c)
         return norm, c
 
-    @property
-    def increment(self) -> PETSc.Vec:
-        """Increment of the flow of the last solve."""
-        return self._vector
+    def _at_nodes(self, values: FloatArray) -> FloatArray:
+        """Velocities at the trace's nodes, out of this rank's entries of the flow, shape (nodes, d) (collective)."""
+        at = self.at
+        if self._comm.size == 1:
+            return np.asarray(at.free * values[at.entries])
+        self._flow.array_w[:] = values
+        return np.asarray(at.free * at.fluid.system.to_local(self._flow)[at.dofs])
+
+    def _add(self, nodal: FloatArray, values: FloatArray) -> None:
+        """Add the ranks' shares of what acts on the trace's nodes to this rank's entries of the flow (collective)."""
+        at = self.at
+        if self._comm.size == 1:
+            values[at.entries[at.known]] += nodal[at.known]
+            return
+        share = np.zeros(at.fluid.system.local_size)
+        share[at.dofs] = nodal
+        at.fluid.system.from_local(share, self._flow)
+        values += self._flow.array_r
 
     # -- what PETSc calls ---------------------------------------------------------------------------------------------
 
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The product with the matrix (collective)."""
-        at, flow, result, given = self.at, self._flow, self._result, x.array_r
-        flow.array_w[:] = given[: self._n]
-        a = at.free * at.fluid.system.to_local(flow)[at.dofs]
-        v = np.zeros(len(at.W) + self._functions)  # velocities at the points, then coefficients: in one sum over ranks
-        v[: len(at.W)] = (at.fluid.timeInt.x_factor * (at.trace.B @ a)).ravel()
-        v[len(at.W) :][: self._own] = given[self._n :]
+        at, given, product, points = self.at, x.array_r, y.array_w, len(self.at.W)
+        with placed(self._given, given[: self._n]) as flow, placed(self._result, product[: self._n]) as result:
+            at.fluid.system.multiply(flow, result)
+        a = self._at_nodes(given[: self._n])
+        v = np.zeros(points + self._functions)  # velocities at the points, then coefficients: in one sum over ranks
+        v[:points] = (at.fluid.timeInt.x_factor * (at.trace.B @ a)).ravel()
+        v[points:][: self._own] = given[self._n :]
         if self._comm.size > 1:
             self._comm.Allreduce(MPI.IN_PLACE, v, op=MPI.SUM)
-        v, b = v[: len(at.W)], v[len(at.W) :]
-        traction = at.beta * v + at.H @ b
-        w = at.a_P @ at.solve_shell(at.P_t_W @ traction)
-        at.fluid.system.multiply(flow, result)
-        nodal = at.to_nodes(at.W * (traction - at.beta * w))
-        nodal[at.dofs] -= at.free * (at.part @ a)
-        at.fluid.system.from_local(nodal, self._vector)
-        product = y.array_w
-        product[: self._n] = result.array_r + self._vector.array_r
+        v, b = v[:points], v[points:]
+        pushed = at.H @ b
+        traction = at.beta * v + pushed
+        w = at.moved(at.W * traction)
+        self._add(at.to_nodes(at.W * (traction - at.beta * w)) - at.free * (at.part @ a), product[: self._n])
         if self._own:
-            product[self._n :] = np.where(at.idle, b, at.beta * (at.H_t_W @ (v - w)) - at.gram @ b)
+            product[self._n :] = np.where(at.idle, b, at.H_t @ (at.W * (at.beta * (v - w) - WEAK * pushed)))
 
     def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The upper triangular part, solved (collective)."""
-        at, given = self.at, x.array_r
+        at, given, increment = self.at, x.array_r, y.array_w
         r = given[self._n :].copy() if self._own else np.empty(self._functions)
         if self._comm.size > 1:
             self._comm.Bcast(r)
         b, forces = self.preconditioner.multiplier(r)
-        at.fluid.system.from_local(at.to_nodes(-forces), self._result)
-        self._result.array_w[:] += given[: self._n]
-        self.preconditioner.fluid.apply(self._result, self._vector)
-        increment = y.array_w
-        increment[: self._n] = self._vector.array_r
+        rest = self.increment.array_w
+        rest[:] = given[: self._n]
+        self._add(at.to_nodes(-forces), rest)
+        with placed(self._result, increment[: self._n]) as result:
+            self.preconditioner.fluid.apply(self.increment, result)
         if self._own:
             increment[self._n :] = np.where(at.idle, r, b)
+
+
+@contextmanager
+def placed(vector: PETSc.Vec, values: FloatArray) -> Iterator[PETSc.Vec]:
+    """A vector whose values are an array, meanwhile."""
+    vector.placeArray(values)
+    try:
+        yield vector
+    finally:
+        vector.resetArray()
 
 
 class _Product:

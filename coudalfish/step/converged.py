@@ -53,10 +53,14 @@ class Converged:
     def __init__(self, fluid: FluidSubproblem, shell: ShellSubproblem, options: CouplingOptions) -> None:
         size = options.multiplier_size * fluid.mesh_size
         N = hat_functions(shell.spline, shell.sheets, shell.quadrature.weights, size)
-        vector = options.multiplier_direction == "vector"
+        d, vector = shell.spline.nsd, options.multiplier_direction == "vector"
         self.functions = sp.csr_matrix(abs(N)) if vector else N  # a vector has no side
-        self._size = N.shape[1] * (shell.spline.nsd if vector else 1)
-        self.system, self._layout = CondensedSystem(fluid, self._size), fluid.system.layout
+        self.functions_t, self.areas_t = self.functions.T.tocsr(), abs(N).T.tocsr()
+        self.fit = fit(self.functions, shell.quadrature.weights)
+        self._spread = sp.kron(self.functions, np.eye(d) if vector else np.ones((d, 1)), format="csr")
+        self._rows = np.repeat(np.arange(self._spread.shape[0]), np.diff(self._spread.indptr))
+        self.displacements_t = shell.displacements.T.tocsr()
+        self.system, self._layout = CondensedSystem(fluid, self._spread.shape[1]), fluid.system.layout
         self.preconditioner: Preconditioner | None = None
         self.iterations: int | None = None
 
@@ -66,10 +70,20 @@ class Converged:
             self.preconditioner = None
         return ConvergedMultiplier(self, step)
 
+    def forces(self, directions: FloatArray) -> sp.csr_matrix:
+        """The functions as forces per area at the points, shape (points d, coefficients).
+
+        Args:
+            directions: normals, or of a vector its factors, shape (points, d).
+        """
+        H = self._spread
+        return sp.csr_matrix((H.data * directions.ravel()[self._rows], H.indices, H.indptr), shape=H.shape)
+
     def prepared(self, at: Linearised) -> CondensedSystem:
         """The system at a state whose tangents have been assembled (collective)."""
         if at.fluid.system.layout != self._layout:
-            self.system, self._layout = CondensedSystem(at.fluid, self._size), at.fluid.system.layout
+            self.system = CondensedSystem(at.fluid, self._spread.shape[1])
+            self._layout = at.fluid.system.layout
         if self.preconditioner is None:
             self.preconditioner, self.iterations = Preconditioner(at), None
         self.preconditioner.at = self.system.at = at
@@ -102,10 +116,9 @@ class ConvergedMultiplier:
 
     def __init__(self, method: Converged, step: Stepping) -> None:
         self._method, self._N = method, method.functions
-        sheets, W = step.shell.sheets, step.shell.quadrature.weights
-        self._held = held_points(step.comm, step.fluid.free, sheets, step.trace, step.n)
+        self._held = held_points(step.comm, step.fluid.free, step.shell.sheets, step.trace, step.n)
         self._vector = step.lam.ndim == 2
-        self._c = coefficients(self._N, W, step.lam)
+        self._c = method.fit @ step.lam
         ranks.share(step.comm, self._c)
         self._reference = 0.0
         self._renew()
@@ -122,7 +135,7 @@ class ConvergedMultiplier:
         step.block = "fluid"
         system = self._method.prepared(at)
         r_s = ranks.first(step.comm, step.shell.system.b.array_r.copy())
-        r_c = at.H_t_W @ (step.u - step.y_dot).ravel()
+        r_c = at.H_t @ (at.W * (step.u - step.y_dot).ravel())
         norm, c = system.solve(step.fluid.system.b, r_s, r_c, self._reference, step.acceptance.limits[0])
         self._reference = max(self._reference, norm)
         self._method.solved(system.iterations)
@@ -145,14 +158,15 @@ class ConvergedMultiplier:
             ranks.agreed(step.comm, lambda: shell.assemble_tangent(step.W, step.beta))
         elif ranks.first(step.comm, shell.touching is not None):
             shell.renew_contact()
-        N = sp.diags(np.where(self._held | (step.W == 0.0), 0.0, 1.0)) @ self._N
+        acts = np.where(self._held | (step.W == 0.0), 0.0, 1.0)[:, None]
         return Linearised(
             fluid=step.fluid,
             trace=step.trace,
             part=self._part,
             W=np.repeat(step.W, d),
-            H=sp.kron(N, np.eye(d), format="csr") if self._vector else _along(N, step.n),
+            H=self._method.forces(np.repeat(acts, d, axis=1) if self._vector else acts * step.n),
             P=shell.displacements,
+            P_t=self._method.displacements_t,
             solve_shell=shell.system.inverse,
             beta=step.beta,
             a_s=shell.timeInt.xdot_factor,
@@ -170,11 +184,11 @@ class ConvergedMultiplier:
     def satisfied(self, step: Stepping) -> bool:
         """See :class:`coudalfish.step.method.StepMultiplier`."""
         active = np.where(self._held, 0.0, step.W)
-        areas = abs(self._N).T @ active
+        areas = self._method.areas_t @ active
         slip = step.u - step.y_dot
         if not self._vector:
             slip = np.einsum("qi,qi->q", slip, step.n)[:, None]
-        sums = self._N.T @ (active[:, None] * slip)
+        sums = self._method.functions_t @ (active[:, None] * slip)
         areas = np.broadcast_to(areas[:, None], sums.shape)
         mean = float((np.divide(sums**2, areas, out=np.zeros_like(sums), where=areas > 0.0)).sum())
         speed = float((step.W[:, None] * (step.u**2 + step.y_dot**2)).sum())
@@ -188,21 +202,15 @@ class ConvergedMultiplier:
         return self.whole
 
 
-def _along(N: sp.csr_matrix, n: FloatArray) -> sp.csr_matrix:
-    """Functions times normals, shape (points d, functions)."""
-    return (sp.diags(n.ravel()) @ sp.kron(N, np.ones((n.shape[1], 1)))).tocsr()
-
-
-def coefficients(N: sp.csr_matrix, W: FloatArray, lam: FloatArray) -> FloatArray:
-    """Coefficients of the functions that are nearest to a multiplier in the mean over areas.
+def fit(N: sp.csr_matrix, W: FloatArray) -> FloatArray:
+    """From multipliers to the coefficients of the functions that are nearest to them in the mean over areas.
 
     Args:
         N: functions at the points, shape (points, functions).
         W: areas, shape (points,).
-        lam: multiplier, shape (points,) or (points, d).
 
     Returns:
-        Shape (functions,) or (functions, d).
+        Shape (functions, points).
     """
     root = np.sqrt(W)
-    return np.asarray(np.linalg.lstsq(root[:, None] * N.toarray(), (root * lam.T).T, rcond=1e-10)[0])
+    return np.asarray(np.linalg.pinv(root[:, None] * N.toarray(), rcond=1e-10) * root)

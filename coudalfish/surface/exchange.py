@@ -87,7 +87,9 @@ def consistent_tangent(B: sp.csr_matrix, W: FloatArray, *, penalty: float, facto
     Returns:
         Matrix for one velocity component, shape (nodes, nodes).
     """
-    return (B.T @ sp.diags(factor * penalty * W) @ B).tocsr()
+    weighted = B.T.tocsr()
+    weighted.data *= (factor * penalty * W)[weighted.indices]
+    return weighted @ B
 
 
 class Means(Protocol):

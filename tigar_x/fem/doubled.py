@@ -170,6 +170,15 @@ class DoubledSystem(FiniteElementSystem):
         """Number of local dofs, those of x and of e, ghosts as well."""
         return 2 * len(self.x.x.array)
 
+    @property
+    def entries(self) -> IntArray:
+        """See :class:`tigar_x.fem.solve.FiniteElementSystem`."""
+        m, rows = self._m, self._m * self._owned_nodes
+        places = np.full((2, len(self.x.x.array)), -1)
+        places[0, :rows] = np.arange(rows)
+        places[1].reshape(-1, m)[self._doubles] = rows + np.arange(m * len(self._doubles)).reshape(-1, m)
+        return places.ravel()
+
     def owned(self, local: FloatArray) -> FloatArray:
         """See :class:`tigar_x.fem.solve.FiniteElementSystem`."""
         return self._owned(*np.split(local, 2))

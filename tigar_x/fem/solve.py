@@ -6,6 +6,7 @@ Increments are subtracted throughout: ``K dx = R``, ``x <- x - dx``.
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
@@ -232,6 +233,12 @@ class FiniteElementSystem:
     def local_size(self) -> int:
         """Number of local dofs, ghosts as well."""
         return len(self.x.x.array)
+
+    @property
+    def entries(self) -> IntArray:
+        """Where local dofs are in this rank's part of a vector of the system, -1: nowhere, shape (local size,)."""
+        own = np.arange(self.local_size)
+        return np.where(own < self.b.getLocalSize(), own, -1)
 
     def owned(self, local: FloatArray) -> FloatArray:
         """This rank's entries of a vector of the system out of values at local dofs, ghosts as well."""

@@ -226,7 +226,7 @@ class SplineSystem:
         return A
 
     def solve(self) -> PETSc.Vec:
-        """Solve for the increment of the spline coefficients.
+        """Solve for the increment of the spline coefficients, by the factors of :meth:`inverse` where it has made them.
 
         Returns:
             The increment, valid until the next solve.
@@ -236,7 +236,10 @@ class SplineSystem:
         """
         if self._solver is None:
             raise SolveError("no tangent has been assembled yet")
-        self.iterations = self._solver.solve(self.b, self._dx)
+        if self._factors is None:
+            self.iterations = self._solver.solve(self.b, self._dx)
+        else:
+            self._dx.array_w[:], self.iterations = self._factors.solve(self.b.array_r), 1
         return self._dx
 
     def inverse(self, load: FloatArray) -> FloatArray:
