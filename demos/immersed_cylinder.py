@@ -88,8 +88,8 @@ def main(results: Results, scene: Immersed, until: float = 8.0) -> dict[str, Any
     if run.finished and results.viz:
         seen = {"length": "m", "immersed": sampling.line(shell.spline, 0, 129).positions(shell.y)}
         fields = PlaneField(flow.w).speed("m/s", **seen), PlaneField(flow.w).signed("pressure", "Pa", **seen)
-        levels = {f"published {name}": known[name] for name in ("drag", "lift")}
-        course = over_time(past, {"drag": "drag", "lift": "lift"}, y=("coefficient", "-"), time="s", levels=levels)
+        look = {"levels": {f"published {name}": known[name] for name in ("drag", "lift")}, "ylim": (-1.0, 8.0)}
+        course = over_time(past, {"drag": "drag", "lift": "lift"}, y=("coefficient", "-"), time="s", **look)
         draw(results.out / "immersed_cylinder.png", *fields, course, columns=1, size=(10.0, 2.6))
     drag, qoi = past.course("drag").last(share=0.1), against({name: past[name][-1] for name in known}, known, doi)
     monitors = {"drift": np.ptp(drag.y) / abs(drag.y[-1]), "pressure_inside": past["pressure_inside"][-1]}
