@@ -88,31 +88,25 @@ def fitted(degree: int, size: float, speed: float) -> dict[str, Any]:
 
 
 def plot(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Errors of drag and lift against scaled CPU time, a line for every preset, time step and diagonal."""
-    courses: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    """Errors of drag and lift against scaled CPU time, a line for every preset and time step, of one diagonal."""
+    courses: dict[tuple[str, float | None], list[dict[str, Any]]] = {}
     for row in rows:
-        courses.setdefault((row["flow"], row.get("dt"), row.get("diagonal")), []).append(row)
+        if row.get("diagonal") in (None, rows[0]["diagonal"]):
+            courses.setdefault((row["flow"], row.get("dt")), []).append(row)
     flows, steps = ([*dict.fromkeys(key[i] for key in courses)] for i in (0, 1))
-    names, styles = {}, {}
-    for flow, dt, diagonal in courses:
-        of_step = "" if dt is None else f", dt = {dt:g}, {diagonal}"
-        names[flow, dt, diagonal] = f"{flow}{of_step}"
-        line = "-" if diagonal != "left" else "--"
-        marker = "s" if dt is None else "ov^D"[steps.index(dt) % 4]
-        colour = "k" if dt is None else f"C{flows.index(flow)}"
-        styles[names[flow, dt, diagonal]] = {
-            "fmt": f"{marker}{line}", "color": colour, "markersize": 4, "linewidth": 1.0,
-            "fillstyle": "none" if flow.endswith("1") else "full",
-        }  # fmt: skip
-    seconds = ("CPU time, scaled", "s")
+    names = {(flow, dt): flow if dt is None else f"{flow}, dt = {dt:g}" for flow, dt in courses}
+    styles = {}
+    for (flow, dt), name in names.items():
+        mark = "ks-" if dt is None else f"C{flows.index(flow)}{'ov^D'[steps.index(dt) % 4]}-"
+        styles[name] = {"fmt": mark, "markersize": 4, "fillstyle": "none" if flow.endswith("degree 1") else "full"}
     panels = []
-    for name, what in (("drag_error_percent", ("error of the drag", "%")), ("lift_error", ("error of the lift", "-"))):
-        of_error = {
-            names[key]: ([r["cpu_s_scaled"] for r in some], [abs(r[name]) for r in some])
+    for error, axis in (("drag_error_percent", ("error of the drag", "%")), ("lift_error", ("error of the lift", "-"))):
+        drawn = {
+            names[key]: ([row["cpu_s_scaled"] for row in some], [abs(row[error]) for row in some])
             for key, some in courses.items()
         }
-        panels.append(lines(of_error, x=seconds, y=what, styles=styles, xscale="log", yscale="log"))
-    draw(path, *panels, size=(7.5, 6.5))
+        panels.append(lines(drawn, x=("CPU time, scaled", "s"), y=axis, styles=styles, xscale="log", yscale="log"))
+    draw(path, *panels, size=(6.5, 5.0))
 
 
 def shown(rows: Iterable[dict[str, Any]]) -> list[list[Any]]:
