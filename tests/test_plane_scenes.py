@@ -11,6 +11,7 @@ from surface import STUDIES, setting_of
 from coudalfish import CouplingOptions, PenaltyRule
 
 CONVERGED = Setting(CouplingOptions.converged())
+SHARP = Setting(CouplingOptions.sharp(), "jump and kink")
 
 
 # -- at rest ----------------------------------------------------------------------------------------------------------
@@ -33,6 +34,15 @@ def test_a_converged_multiplier_has_no_pattern_that_grows():
     assert converged.figures["growth"] < 0.02
     assert converged.figures["pattern"] < 0.1
     assert converged.passes.mean() < 1.1 < lagged.passes.mean()
+
+
+@pytest.mark.mpi
+def test_kinks_at_a_held_arc_do_not_grow_at_small_steps():
+    """With weights of their sides of degree 2 or 3 their mass is not positive, and the steps diverge at once."""
+    found = HeldSheet(16, dt=1e-3, steps=20, ramp=5, mu=0.01).run(SHARP)
+    assert found.figures["velocity"] < 1e-3
+    assert found.passes.max() <= 2
+    assert found.imbalance < 1e-12
 
 
 def test_a_shifted_sheet_stands_where_it_is_said_to():
@@ -70,6 +80,7 @@ def test_a_string_swings_at_its_frequency_with_a_converged_multiplier(mass_ratio
     assert abs(converged.figures["frequency"]) < 0.03
     assert converged.figures["leak"] < 1e-6
     assert converged.imbalance < 1e-12
+    assert abs(string.run(SHARP).figures["frequency"]) < 0.01
 
 
 @pytest.mark.mpi
@@ -95,6 +106,12 @@ def test_a_plate_drags_its_layers_along():
     assert max(thick.imbalance, thin.imbalance) < 1e-12
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize(("delta", "most"), [(4.0, 0.01), (1.0, 0.06), (0.25, 0.3)])
+def test_kinks_resolve_the_layers_of_a_plate_down_to_a_quarter_of_a_cell(delta, most):
+    assert Plate(delta, steps_per_period=40, periods=2).run(SHARP).figures["error"] < most
+
+
 # -- a gap ------------------------------------------------------------------------------------------------------------
 
 
@@ -105,6 +122,14 @@ def test_more_flows_through_a_wider_slit_and_nothing_through_the_plates():
     assert max(abs(narrow.figures["leak"]), abs(wide.figures["leak"])) < 1e-8
     assert max(narrow.figures["change"], wide.figures["change"]) < 1e-3
     assert wide.imbalance < 1e-12
+
+
+@pytest.mark.mpi
+def test_with_jump_and_kink_what_flows_through_a_gap_of_one_cell_and_more_is_right_at_any_step():
+    for gap in (1.0, 2.0, 4.0):
+        flows = [Slit(gap, n=16, cfl=cfl).run(SHARP).figures["flow"] for cfl in (0.2, 1.0)]
+        assert flows == pytest.approx([1.0, 1.0], abs=0.2)
+        assert flows[0] == pytest.approx(flows[1], rel=0.05)
 
 
 def test_a_slit_has_the_viscosity_that_its_flow_belongs_to():

@@ -69,7 +69,8 @@ class SidedFluid(FluidSubproblem):
         space = sides.negative.function_space
         points = compat.node_points(space)
         self._weights = SideWeights(compat.lagrange_degree(space), points)
-        self._walls = WallWeights(self.mesh, points)
+        on_walls = sides.wall.function_space
+        self._walls, self._wall_cells = WallWeights(self.mesh, compat.node_points(on_walls)), compat.cell_dofs(on_walls)
         self._cells = compat.cell_dofs(space)
         linear = np.empty(len(self._node), dtype=np.int64)
         linear[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(sides.phi.function_space)
@@ -93,7 +94,7 @@ class SidedFluid(FluidSubproblem):
         sides.phi.x.array[self._linear], sides.size.x.array[self._linear] = phi, np.abs(phi)
         sides.negative.x.array[self._cells[found.cut.cells]] = self._weights(found.cut)
         cells, values = self._walls(found.cut)
-        sides.wall.x.array[self._cells[cells]] = values
+        sides.wall.x.array[self._wall_cells[cells]] = values
         d, n = self.mesh.geometry.dim, len(self._node)
         second = np.zeros((n, d + 1), dtype=bool)
         kinks = found.kink[:, None] & self.free[:n]

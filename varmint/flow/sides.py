@@ -22,10 +22,12 @@ from varmint.flow.terms import Interior
 from varmint.forms.sides import SIGNS, Sides, sided_residual, weighted
 from varmint.forms.space import split
 
-DEGREE = 2
-"""Degree of the polynomials that weights of sides integrate exactly."""
-KINDS = ("jump", "jump and kink")
-"""What may differ on both sides."""
+DEGREE = {"jump": 2, "jump and kink": 4}
+"""What may differ on both sides, and the degree of the polynomials that weights of sides integrate exactly: that of the
+product of two kinks, whose mass is not positive otherwise, so that small steps diverge."""
+KINDS = tuple(DEGREE)
+WALL_DEGREE = 2
+"""The same on the boundary."""
 
 
 class FlowSides:
@@ -50,9 +52,10 @@ class FlowSides:
         domain, time = state.mesh.domain, cast(SidedTime, state.time)
         self._state = state
         d, self.is_kinked = domain.geometry.dim, kind == KINDS[1]
-        linear, weights = compat.lagrange_space(domain, 1), compat.lagrange_space(domain, DEGREE, discontinuous=True)
+        self._degree, linear = 2 * DEGREE[kind], compat.lagrange_space(domain, 1)
+        weights, walls = (compat.lagrange_space(domain, k, discontinuous=True) for k in (DEGREE[kind], WALL_DEGREE))
         self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
-        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(weights, name="wall_negative")
+        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(walls, name="wall_negative")
         self._both = fem.Function(compat.lagrange_space(domain, 1, 2 * (d + 1)), name="both")
         both = TimeIntegrator(self._both, time.step_size, time.scheme, algebraic=(d, 2 * d + 1))
         joined = (
@@ -72,13 +75,14 @@ class FlowSides:
         """Weight of a side in divided cells, UFL."""
         return Sides(self.phi, self.size, self.negative).weight(s)
 
-    def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 2 * DEGREE) -> float:
+    def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 4) -> float:
         """Integral over the flow at the end of the last step, side by side in divided cells (collective).
 
         Args:
             f: UFL scalar of the velocity, the pressure and the side, which is -1 or 1, or 0 in cells that are not near
-                the surface, as UFL or as a number; of degree 2 or less in divided cells for an exact result.
-            degree: of the quadrature, at least 4 in divided cells.
+                the surface, as UFL or as a number; of no higher degree in divided cells than ``DEGREE`` for an exact
+                result.
+            degree: of the quadrature, in divided cells at least twice ``DEGREE``.
         """
         self.doubled.join(last=True)
         side = ufl.conditional(ufl.lt(self.phi, 0.0), SIGNS[0], SIGNS[1])
@@ -87,7 +91,7 @@ class FlowSides:
         mesh, cells = self._state.mesh, self.doubled.cells
         parts = (
             (plain * mesh.dx(degree=degree), ~cells),
-            (divided * mesh.dx(degree=max(degree, 2 * DEGREE)), cells),
+            (divided * mesh.dx(degree=max(degree, self._degree)), cells),
         )
         return float(sum(compat.assemble_scalar(compat.PartialForm(form).on(chosen)) for form, chosen in parts))
 
@@ -104,7 +108,7 @@ class FlowSides:
             del known[name]
         return sided_residual(
             Sides(self.phi, self.size, self.negative), self._parts(both.x_alpha), self._tests, (u_t, a_t),
-            state.mesh.domain, dx=state.mesh.dx(degree=2 * DEGREE), **known,
+            state.mesh.domain, dx=state.mesh.dx(degree=self._degree), **known,
         )  # fmt: skip
 
     def _boundary(self, state: FlowState, conditions: Sequence[Condition], both: TimeIntegrator) -> ufl.Form:
@@ -112,7 +116,7 @@ class FlowSides:
         for s in SIGNS:
             v, p = sides.fields(self._parts(both.x_alpha), s)
             w, q = sides.fields(self._tests, s)
-            fields = replace(state.fields, v=v, p=p, w=w, q=q, degree=2 * DEGREE)
+            fields = replace(state.fields, v=v, p=p, w=w, q=q, degree=2 * WALL_DEGREE)
             for condition in conditions:
                 term = condition.term(fields)
                 if term is not None:
