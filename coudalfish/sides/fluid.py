@@ -228,6 +228,11 @@ class FluidSubproblem:
         nodal = trace.transposed @ forces
         return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 
+    def received(self, trace: TraceMatrix, forces: FloatArray) -> FloatArray:
+        """Sum of the point forces on the fluid (collective), shape (d,): those on nodes, as kinks vanish there."""
+        nodal = (trace.transposed @ forces)[trace.nodes < len(self.velocity_dofs)]
+        return -np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
+
     def momentum_scale(self) -> float:
         """Size of the terms that balance in the flow but at outlets' resistances: tangent times state; unit: force."""
         if not self.system.has_tangent:

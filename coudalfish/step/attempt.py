@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from mpi4py import MPI
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import MovingMesh, displacement_of_cells
@@ -279,7 +278,7 @@ class Step:
         ranks.share(self.comm, lam)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
-        on_fluid = np.asarray(self.fluid.comm.allreduce(-(self.trace.transposed @ forces).sum(axis=0), op=MPI.SUM))
+        on_fluid = self.fluid.received(self.trace, forces)
         areas, self.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
         monitors = monitors_of(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))
