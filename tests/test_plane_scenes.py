@@ -37,6 +37,15 @@ def test_a_converged_multiplier_has_no_pattern_that_grows():
 
 
 @pytest.mark.mpi
+def test_nothing_flows_at_a_straight_sheet_that_holds_a_jump_and_its_steps_are_not_hard():
+    """There is no speed that what is left of the slip could be small against."""
+    found = HeldSheet(8, bow=0.0, ramp=3, steps=3).run(SHARP)
+    assert found.figures["velocity"] < 1e-8
+    assert [report.attempts for report in found.reports] == [1] * 6
+    assert found.passes.max() <= 2
+
+
+@pytest.mark.mpi
 def test_kinks_at_a_held_arc_do_not_grow_at_small_steps():
     """With weights of their sides of degree 2 or 3 their mass is not positive, and the steps diverge at once."""
     found = HeldSheet(16, dt=1e-3, steps=20, ramp=5, mu=0.01).run(SHARP)

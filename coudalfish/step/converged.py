@@ -34,6 +34,8 @@ TIGHT = 0.1
 
 SOLVED = 1e-8
 """Such slip which the linear solver may leave."""
+UNSEEN = 5.0 * SOLVED
+"""Penalty of a slip relative to the multiplier that solves leave as well, which is all where nothing moves."""
 
 
 class Converged:
@@ -193,7 +195,8 @@ class ConvergedMultiplier:
         mean = float((np.divide(sums**2, areas, out=np.zeros_like(sums), where=areas > 0.0)).sum())
         speed = float((step.W[:, None] * (step.u**2 + step.y_dot**2)).sum())
         accepted = max(TIGHT * step.options.block_rtol, SOLVED)
-        return bool(ranks.first(step.comm, mean <= accepted**2 * speed))
+        carried = float((step.W * self.whole.T**2).sum()) / step.beta**2
+        return bool(ranks.first(step.comm, mean <= accepted**2 * speed + UNSEEN**2 * carried))
 
     def updated(
         self, u: FloatArray, y_dot: FloatArray, n: FloatArray, *, penalty: float, relaxation: float
