@@ -82,12 +82,12 @@ def main(
     if not run.finished:
         return {}
     if results.viz:
-        field, membrane = PlaneField(flow.w), shell.at(sampling.line(shell.spline, 0, 257, at=0.0, patch=0))
-        s, y, t = membrane.reference[:, 1], membrane.displacement[:, 0], fsi.timeInt_f.time
+        membrane = shell.at(sampling.line(shell.spline, 0, 257, at=0.0, patch=0))
+        s, t, field = membrane.reference[:, 1], fsi.timeInt_f.time, PlaneField(flow.w, sides=flow.sides)
         pressure = Colours("pressure", "force/area", -1.5 * data.DP, 0.5 * data.DP, "RdBu_r")
         look = {"title": f"t = {t:.3g}: pressure, streamlines, membrane", "immersed": [membrane.position]}
         left = field.panel(field.values[:, dim], pressure, length="length", density=1.1, **look)
-        courses = {"exact": (s, data.V * t * (data.L * s - s**2)), "computed": (s, y)}
+        courses = {"exact": (s, data.V * t * (data.L * s - s**2)), "computed": (s, membrane.displacement[:, 0])}
         axes = {"x": ("$X_2$", "length"), "y": ("displacement $y_1$", "length"), "title": "membrane"}
         draw(out / "manufactured.png", left, lines(courses, **axes, styles={"exact": {"color": "0.6", "linewidth": 4}}))
     measured, true = (problem.errors(fsi, data, data.T, degree) for degree in (2, 8))

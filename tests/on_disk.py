@@ -34,3 +34,31 @@ def read_vtkhdf(path):
             found.append((float(t), {name: root["PointData"][name][b : b + points] for name, b in begins.items()}))
         corners = [connectivity[i:j] for i, j in pairwise(offsets)]
         return root["Points"][:], list(zip(root["Types"], corners, strict=True)), found
+
+
+def read_vtkhdf_meshes(path):
+    """Time, points, triangles and fields of every step of a file with a mesh for each, as the format's offsets say."""
+    import h5py
+
+    found = []
+    with h5py.File(path, "r") as file:
+        root = file["VTKHDF"]
+        assert (root.attrs["Type"], tuple(root.attrs["Version"])) == (b"UnstructuredGrid", (2, 0))
+        steps = root["Steps"]
+        assert steps.attrs["NSteps"] == len(steps["Values"]) == len(root["NumberOfPoints"])
+        assert np.all(steps["NumberOfParts"][:] == 1)
+        for i, t in enumerate(steps["Values"]):
+            part = int(steps["PartOffsets"][i])
+            points, cells, ids = (int(root[f"NumberOf{name}"][part]) for name in ("Points", "Cells", "ConnectivityIds"))
+            first = int(steps["PointOffsets"][i])
+            of_cells, of_ids = (int(steps[f"{name}Offsets"][i][0]) for name in ("Cell", "ConnectivityId"))
+            x = root["Points"][first : first + points]
+            offsets = root["Offsets"][of_cells + part : of_cells + part + cells + 1]  # a part has one more than cells
+            assert (root["Types"][of_cells : of_cells + cells] == 5).all()
+            assert (offsets == 3 * np.arange(cells + 1)).all()
+            triangles = root["Connectivity"][of_ids : of_ids + ids].reshape(-1, 3)
+            begins = {name: int(steps["PointDataOffsets"][name][i]) for name in root["PointData"]}
+            fields = {name: root["PointData"][name][b : b + points] for name, b in begins.items()}
+            found.append((float(t), x, triangles, fields))
+        assert len(root["Points"]) == sum(len(x) for _, x, _, _ in found)
+    return found

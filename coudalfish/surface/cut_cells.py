@@ -14,6 +14,7 @@ import numpy as np
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem import pieces
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,24 +52,13 @@ class CutCells:
 
     @cached_property
     def _alone(self) -> tuple[IntArray, Any]:
-        """The vertex that is alone on its side, and whether that is the negative one."""
-        negative = self.values < 0.0
-        of_negative = negative.sum(axis=1) == 1
-        return np.where(of_negative, negative.argmax(axis=1), (~negative).argmax(axis=1)), of_negative
+        """See :func:`tigar_x.fem.pieces.alone`."""
+        return pieces.alone(self.values)
 
     @cached_property
     def corner(self) -> FloatArray:
-        """Barycentric coordinates of the triangle at that vertex, itself and both ends of the line, (cut, 3, 3)."""
-        lone, _ = self._alone
-        row = np.arange(len(lone))
-        result = np.zeros((len(lone), 3, 3))
-        result[row, 0, lone] = 1.0
-        for end in (1, 2):
-            other = (lone + end) % 3
-            phi = self.values[row, lone]
-            t = phi / (phi - self.values[row, other])
-            result[row, end, lone], result[row, end, other] = 1.0 - t, t
-        return result
+        """Triangles at that vertex, see :func:`tigar_x.fem.pieces.corner`, shape (cut, 3, 3)."""
+        return pieces.corner(self.values)
 
     @cached_property
     def negative_share(self) -> FloatArray:

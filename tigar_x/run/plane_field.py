@@ -12,6 +12,8 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
+from tigar_x.fem.pieces import Sided
+from tigar_x.ranks import gathered
 from tigar_x.run.figure import Panel, axis_label
 from tigar_x.run.pictures import Colours
 
@@ -22,29 +24,47 @@ class PlaneField:
     Args:
         function: in a scalar or blocked Lagrange space; in space the nodes with the smallest third coordinate count.
         displacement: of the mesh; None: none.
+        sides: what makes the function differ on both sides of a line through cells, such as ``flow.sides``; None:
+            nothing. Further nodes are then on both sides of that line, and triangles end there.
 
     Attributes:
         x: positions, shape (nodes, 2).
         values: shape (nodes, components).
         triangles: nodes of each, shape (triangles, 3).
+
+    Raises:
+        ValueError: the sides are those of another function.
     """
 
-    def __init__(self, function: fem.Function, displacement: fem.Function | None = None) -> None:
+    def __init__(
+        self, function: fem.Function, displacement: fem.Function | None = None, sides: Sided | None = None
+    ) -> None:
         V, found = function.function_space, nodal_values(function, displacement)
         self.x, self.values = np.zeros((0, 2)), np.zeros((0, V.dofmap.index_map_bs))
         self.triangles = np.zeros((0, 3), dtype=int)
+        pieces = None if sides is None else _pieces(function, sides)
         if found is None:
             return
         nodes, self.values, cells = found
         self.x = nodes[:, :2]
         if V.mesh.geometry.dim == 2:
             self.triangles = cells if cells.shape[1] == 3 else np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])
+            self._whole = len(self.x), self.triangles
+            if pieces is not None:
+                self._divide(*pieces)
             return
         from scipy.spatial import Delaunay
 
         plane = np.isclose(nodes[:, 2], nodes[:, 2].min())
         self.x, self.values = self.x[plane], self.values[plane]
         self.triangles = Delaunay(self.x).simplices
+        self._whole = len(self.x), self.triangles
+
+    def _divide(self, x: FloatArray, values: FloatArray, divided: Any) -> None:
+        """Put pieces in the place of triangles, arguments as :func:`_pieces` gives them."""
+        more = len(self.x) + np.arange(len(x)).reshape(-1, 3)
+        self.x, self.values = np.concatenate([self.x, x]), np.concatenate([self.values, values])
+        self.triangles = np.concatenate([self.triangles[~divided], more])
 
     def shade(self, axes: Any, values: FloatArray, colours: Colours, *, length: str, **style: Any) -> None:
         """Draw nodal values as colours with a bar.
@@ -73,13 +93,15 @@ class PlaneField:
             samples: along the longer side.
             style: passed on to ``streamplot``.
         """
-        from matplotlib.tri import LinearTriInterpolator
+        from matplotlib.tri import LinearTriInterpolator, Triangulation
 
         low, high = self.x.min(axis=0), self.x.max(axis=0)
         counts = np.maximum((samples * (high - low) / (high - low).max()).astype(int), 2)
         lines = [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
         grid = np.meshgrid(*lines)
-        u, v = (LinearTriInterpolator(self._triangulation, self.values[:, i])(*grid) for i in (0, 1))
+        nodes, triangles = self._whole
+        whole = Triangulation(*self.x[:nodes].T, triangles)
+        u, v = (LinearTriInterpolator(whole, self.values[:nodes, i])(*grid) for i in (0, 1))
         axes.streamplot(*lines, u, v, **({"color": "0.25", "linewidth": 0.6, "arrowsize": 0.7} | style))
 
     @cached_property
@@ -140,6 +162,19 @@ class PlaneField:
         values = self.values[:, -1]
         end = share * float(np.abs(values).max(initial=0.0)) or 1.0
         return self.panel(values, Colours(what, unit, -end, end, "RdBu_r"), length=length, **more)
+
+
+def _pieces(function: fem.Function, sides: Sided) -> tuple[FloatArray, FloatArray, Any] | None:
+    """On rank 0 vertices of pieces of triangles, values there, and which triangles they replace (collective)."""
+    if sides.function is not function:
+        raise ValueError(f"sides: those of {function.name} are required, they are those of {sides.function.name}")
+    V, pieces = function.function_space, sides.pieces()
+    x = V.tabulate_dof_coordinates()[compat.cell_dofs(V)[pieces.cells]][:, :, :2]
+    divided = np.zeros(compat.owned_cells(V.mesh), dtype=bool)
+    divided[pieces.cells] = True
+    parts = (pieces.barycentric @ x).reshape(-1, 2), sides.of_pieces(pieces), divided
+    points, values, where = (gathered(V.mesh.comm, part) for part in parts)
+    return None if points is None else (points, values.reshape(len(points), -1), where)
 
 
 def nodal_values(

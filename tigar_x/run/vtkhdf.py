@@ -8,6 +8,7 @@ and so is all that it refers to. No file stays open. Format: VTK's documentation
 
 import shutil
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ CELLS = {
 }
 """VTK's number of a cell, and the order in which VTK goes through the vertices that dolfinx gives."""
 MESH = "mesh.h5"
+SIZES = {"Points": "Points", "Cells": "Types", "ConnectivityIds": "Connectivity"}
+"""What VTK counts, and the arrays that have as many entries."""
 
 
 class VTKHDFSeries(Series):
@@ -52,6 +55,8 @@ class VTKHDFSeries(Series):
         OSError: a file cannot be written.
         ValueError: the path or a field has a name that cannot be, or the earlier series has other fields or points.
     """
+
+    _is_fixed = True  # all steps have one mesh
 
     def __init__(
         self,
@@ -110,11 +115,15 @@ class VTKHDFSeries(Series):
     def _continue(self, nodes: Nodes, grid: dict[str, Any], after: Any) -> None:
         """Take over the earlier series up to a time; what is later goes once the index no longer refers to it."""
         try:
-            with self._h5.File(self._path, "r") as file:
+            with self._h5.File(self._path, "r") as file, self._h5.File(self._steps / MESH, "r") as whole:
                 group = file["VTKHDF"]
                 times = [float(t) for t in group["Steps/Values"]]
                 fields = {name: (data.shape[1:], data.dtype) for name, data in group["PointData"].items()}
-                points, cells = group["Points"][:], len(group["Types"])
+                points, cells = whole["Points"][:], len(whole["Types"])
+                is_fixed = isinstance(group.get("Points", getlink=True), self._h5.ExternalLink)
+                kept = sum(not is_later(t, after) for t in times)
+                if is_fixed == self._is_fixed:
+                    self._take_over(group, kept)
         except (OSError, KeyError) as error:
             raise ValueError(f"{self._path}: not the index of a series, or its steps are missing ({error})") from error
         self._counts = {name: len(array) for name, array in grid.items()}
@@ -126,10 +135,18 @@ class VTKHDFSeries(Series):
             self._order = np.argsort(nodes.match(points[:, : self._space.mesh.geometry.dim]))
         except ValueError as error:
             raise ValueError(f"{self._path}: another mesh ({error})") from error
-        self._times = [t for t in times if not is_later(t, after)]
+        if is_fixed != self._is_fixed:
+            kinds = ["with a mesh for every time", "with one mesh for all times"]
+            raise ValueError(
+                f"{self._path}: a series {kinds[is_fixed]} was found, one {kinds[not is_fixed]} is required"
+            )
+        self._times = times[:kept]
         self._write_index()
-        for step in range(len(self._times), len(times)):
-            (self._steps / _name(step)).unlink(missing_ok=True)
+        for step in range(kept, len(times)):
+            (self._steps / step_name(step)).unlink(missing_ok=True)
+
+    def _take_over(self, group: Any, kept: int) -> None:
+        """Take over what an earlier index knows of the meshes of the steps that are kept."""
 
     def write(self, t: float) -> None:
         """Append the present fields at time ``t``.
@@ -137,21 +154,27 @@ class VTKHDFSeries(Series):
         Raises:
             OSError: it cannot be written; the series on disk stays as it was.
         """
+        arrays = self._gather()
+        on_root(self._comm, lambda: self._append(float(t), arrays, {}))
+
+    def _gather(self) -> dict[str, FloatArray]:
+        """Present fields at the vertices on rank 0 (collective), shape (vertices, components) each."""
         self._values.update()
         arrays = {}
         for name, function in self._values.functions.items():
             blocks = function.x.array.reshape(-1, function.function_space.dofmap.index_map_bs)
             arrays[name] = gathered(self._comm, blocks[: self._owned])
-        on_root(self._comm, lambda: self._append(float(t), arrays))
+        return arrays
 
-    def _append(self, t: float, arrays: dict[str, FloatArray]) -> None:
-        values = {}
+    def _append(self, t: float, arrays: dict[str, FloatArray], more: dict[str, Any]) -> None:
+        """Write a step, its fields and what else is in its file."""
+        values = dict(more)
         for name, array in arrays.items():
             ordered = array if self._order is None else array[self._order]
             width = self._shapes[name][0] if self._shapes[name] else 1
             padded = np.pad(ordered, ((0, 0), (0, width - ordered.shape[1]))).astype(self._type)
             values[name] = padded if self._shapes[name] else padded[:, 0]
-        replace_bytes(self._steps / _name(len(self._times)), self._image(values))
+        replace_bytes(self._steps / step_name(len(self._times)), self._image(values))
         self._times.append(t)
         try:
             self._write_index()
@@ -175,30 +198,39 @@ class VTKHDFSeries(Series):
 
     def _fill_index(self, file: Any) -> None:
         """Groups, attributes and datasets of a temporal unstructured grid in one part."""
-        points, n = self._counts["Points"], len(self._times)
-        root = file.create_group("VTKHDF")
+        root, n = file.create_group("VTKHDF"), len(self._times)
         root.attrs["Version"] = (2, 0)
         root.attrs.create("Type", b"UnstructuredGrid", dtype=self._h5.string_dtype("ascii", 16))
-        for name in self._counts:
-            root[name] = self._h5.ExternalLink(f"{self._steps.name}/{MESH}", name)
-        for name, entries in (("Points", "Points"), ("Cells", "Types"), ("ConnectivityIds", "Connectivity")):
-            root["NumberOf" + name] = np.array([self._counts[entries]])
         steps = root.create_group("Steps")
         steps.attrs["NSteps"] = n
         steps["Values"] = np.array(self._times)
         steps["NumberOfParts"] = np.ones(n, dtype=np.int64)
+        first = self._fill_grid(root, steps)
+        offsets, data = steps.create_group("PointDataOffsets"), root.create_group("PointData")
+        for name, shape in self._shapes.items():
+            offsets[name] = first[:-1]
+            self._join(data, name, first, shape, self._type)
+
+    def _fill_grid(self, root: Any, steps: Any) -> IntArray:
+        """Datasets of the mesh; returns where the points of every step begin, and where the last ones end."""
+        n = len(self._times)
+        for name in self._counts:
+            root[name] = self._h5.ExternalLink(f"{self._steps.name}/{MESH}", name)
+        for name, entries in SIZES.items():
+            root["NumberOf" + name] = np.array([self._counts[entries]])
         for name in ("PartOffsets", "PointOffsets"):  # all steps have the mesh of the first
             steps[name] = np.zeros(n, dtype=np.int64)
         for name in ("CellOffsets", "ConnectivityIdOffsets"):
             steps[name] = np.zeros((n, 1), dtype=np.int64)
-        offsets, data = steps.create_group("PointDataOffsets"), root.create_group("PointData")
-        for name, shape in self._shapes.items():
-            offsets[name] = points * np.arange(n)
-            layout = self._h5.VirtualLayout((points * n, *shape), dtype=self._type)
-            for i in range(n):
-                source = self._h5.VirtualSource(f"{self._steps.name}/{_name(i)}", name, (points, *shape), self._type)
-                layout[points * i : points * (i + 1)] = source
-            data.create_virtual_dataset(name, layout)
+        return self._counts["Points"] * np.arange(n + 1)
+
+    def _join(self, group: Any, name: str, first: IntArray, shape: tuple[int, ...], kind: Any) -> None:
+        """Arrays of that name in the files of all steps as one dataset, where those of every step begin as given."""
+        layout = self._h5.VirtualLayout((first[-1], *shape), dtype=kind)
+        for i, (begin, end) in enumerate(pairwise(first.tolist())):
+            source = self._h5.VirtualSource(f"{self._steps.name}/{step_name(i)}", name, (end - begin, *shape), kind)
+            layout[begin:end] = source
+        group.create_virtual_dataset(name, layout)
 
 
 def _shape(components: int) -> tuple[int, ...]:
@@ -206,7 +238,8 @@ def _shape(components: int) -> tuple[int, ...]:
     return () if components == 1 else (max(components, 3),)
 
 
-def _name(step: int) -> str:
+def step_name(step: int) -> str:
+    """Name of a step's file."""
     return f"{step:06d}.h5"
 
 

@@ -17,6 +17,7 @@ from tigar_x.fem.divided import Doubled
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Condition, Resistance
 from varmint.flow.sided_time import SidedTime
+from varmint.flow.sided_values import SidedValues
 from varmint.flow.state import FlowState
 from varmint.flow.terms import Interior
 from varmint.forms.sides import SIGNS, Sides, sided_residual, weighted
@@ -30,7 +31,7 @@ WALL_DEGREE = 2
 """The same on the boundary."""
 
 
-class FlowSides:
+class FlowSides(SidedValues):
     """What differs on both sides of a surface, and the equations of the cells that it divides.
 
     Args:
@@ -66,6 +67,7 @@ class FlowSides:
         residual = self._inside(state, interior, both) + self._boundary(state, conditions, both)
         residual = ufl.replace(residual, {both.dt: time.dt, both.t: time.t, both.t_alpha: time.t_alpha})
         self.doubled = Doubled(residual, joined, d)
+        super().__init__(self.phi, self.doubled, state.w)
 
     def fields(self, s: float) -> tuple[Any, Any]:
         """Velocity and pressure on a side of divided cells at the end of the step, UFL, once they have been joined."""

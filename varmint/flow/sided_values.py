@@ -1,0 +1,104 @@
+"""Numbers at points of cells of a flow whose fields differ on both sides of a surface."""
+
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem.divided import Doubled
+from tigar_x.fem.pieces import SidedPieces
+
+
+class SidedValues:
+    """Velocity and pressure on one side or the other; in cells that are not divided both are the same.
+
+    Args:
+        phi: linear function of which the surface is the zero line.
+        doubled: what is divided.
+        function: velocity and pressure at the end of the step.
+
+    Attributes:
+        function: as given.
+    """
+
+    def __init__(self, phi: fem.Function, doubled: Doubled, function: fem.Function) -> None:
+        self.function, self._phi, self._doubled, self._both = function, phi, doubled, doubled.joined[0][2]
+        self._d = function.function_space.mesh.geometry.dim
+        spaces = (f.function_space for f in (function, self._both, phi))
+        self._nodes, self._of_both, self._of_phi = map(compat.cell_dofs, spaces)
+        x = function.function_space.tabulate_dof_coordinates()[:, : self._d]
+        self._corners = x[self._nodes]
+
+    def is_divided(self, cells: IntArray) -> Any:
+        """Mask of those of some cells that are divided."""
+        return self._doubled.cells[cells]
+
+    def level(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
+        """Phi at points of cells; arguments as in :meth:`at`."""
+        return np.asarray(np.einsum("nk,nk->n", barycentric, self._phi.x.array[self._of_phi[cells]]))
+
+    def barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
+        """Barycentric coordinates of points in cells, shape (n, d + 1); x of shape (n, d)."""
+        corners = self._corners[cells]
+        inner = np.einsum("ndk,nk->nd", self._slopes(cells), x - corners[:, 0])
+        inner[:, 0] += 1.0
+        return inner
+
+    def _slopes(self, cells: IntArray) -> FloatArray:
+        """Gradients of the barycentric coordinates, shape (n, d + 1, d)."""
+        corners = self._corners[cells]
+        inner = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+        return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+
+    def _nodal(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Means and differences of both sides at the nodes of cells, (velocity, pressure) and (kink, jump)."""
+        self._doubled.join(last=True)
+        m = self._d + 1
+        mean, more = self.function.x.array.reshape(-1, m)[self._nodes[cells]], np.zeros((len(cells), m, m))
+        there = self.is_divided(cells)
+        both = self._both.x.array.reshape(-1, 2 * m)[self._of_both[cells[there]]]
+        mean[there], more[there] = both[..., :m], both[..., m:]
+        return mean, more
+
+    def at(self, cells: IntArray, barycentric: FloatArray, s: FloatArray) -> FloatArray:
+        """Velocity and pressure.
+
+        Args:
+            cells: local numbers, shape (n,).
+            barycentric: coordinates there, shape (n, d + 1).
+            s: sides, -1 or 1, shape (n,).
+
+        Returns:
+            Shape (n, d + 1).
+        """
+        mean, more = self._nodal(cells)
+        values, differences = (np.einsum("nk,nki->ni", barycentric, f) for f in (mean, more))
+        phi = self._phi.x.array[self._of_phi[cells]]
+        psi = np.einsum("nk,nk->n", barycentric, np.abs(phi) - s[:, None] * phi)
+        values[:, :-1] += psi[:, None] * differences[:, :-1]
+        values[:, -1] += 0.5 * s * differences[:, -1]
+        return np.asarray(values)
+
+    def gradient_at(self, cells: IntArray, barycentric: FloatArray, s: FloatArray) -> FloatArray:
+        """Gradient of the velocity, (n, d, d), component first; arguments as in :meth:`at`."""
+        (mean, more), slopes = self._nodal(cells), self._slopes(cells)
+        phi = self._phi.x.array[self._of_phi[cells]]
+        bend = np.abs(phi) - s[:, None] * phi
+        psi = np.einsum("nk,nk->n", barycentric, bend)
+        kink = np.einsum("nk,nki->ni", barycentric, more[..., :-1])
+        nodal = mean[..., :-1] + psi[:, None, None] * more[..., :-1]
+        smooth = np.einsum("nki,nkj->nij", nodal, slopes)
+        return np.asarray(smooth + np.einsum("ni,nk,nkj->nij", kink, bend, slopes))
+
+    def pieces(self) -> SidedPieces:
+        """Pieces of the cells of this rank that are divided."""
+        owned = compat.owned_cells(self.function.function_space.mesh)
+        cells = np.flatnonzero(self._doubled.cells[:owned])
+        return SidedPieces.of(cells, self._phi.x.array[self._of_phi[cells]])
+
+    def of_pieces(self, pieces: SidedPieces) -> FloatArray:
+        """Velocity and pressure at the vertices of pieces, on their sides, shape (pieces, 3, d + 1)."""
+        cells, s = np.repeat(pieces.cells, 3), np.repeat(pieces.side, 3)
+        return self.at(cells, pieces.barycentric.reshape(-1, 3), s).reshape(-1, 3, self._d + 1)
