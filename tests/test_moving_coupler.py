@@ -91,8 +91,7 @@ def state(fsi):
     """Everything that a step may change."""
     arrays = [fsi.lam.copy(), np.array([float(time.t.value) for time in fsi.integrators])]
     for time in fsi.integrators:
-        arrays += [f.x.array.copy() for f in (time.x, time.x_old, time.xdot_old)]
-        arrays += [time.xddot_old.x.array.copy()] if time.scheme.order == 2 else []
+        arrays += [f.x.array.copy() for f in (time.x, *time.state.values())]
     return arrays
 
 

@@ -19,6 +19,7 @@ from load import load_demo
 from mpi_runs import MPIRUN, mpirun, outside
 from on_disk import ROOT, read_vtkhdf
 from test_coupled_contact import approaching
+from test_sided import membrane
 
 from coudalfish import PenaltyRule
 from coudalfish.restart import CoupledState
@@ -56,6 +57,7 @@ COUPLED = {
     "contact": lambda: approaching(speed=6.0, dt=0.004, options=restarted.TIGHT).fsi,  # in steps 4 and 5
     "moving": lambda: moving.scene(moving.prescribed(moving.bubble), sheet_velocity=(0.5, 0.0), n=4),
     "elastic": lambda: moving.scene(elastic, sheet_velocity=(0.5, 0.0), n=4),
+    "both sides": lambda: membrane("jump and kink", level=1, block_rtol=1e-10)[1],
 }
 
 
@@ -107,13 +109,17 @@ def forget(name):
 
 
 @pytest.mark.parametrize(
-    "part", ["lam", *(f"fluid.{f}" for f in ("x", "xdot")), *(f"shell.{f}" for f in ("x", "xdot", "xddot"))]
+    ("name", "part"),
+    [
+        *(("plain", part) for part in ("lam", "fluid.x", "fluid.xdot", "shell.x", "shell.xdot", "shell.xddot")),
+        *(("both sides", part) for part in ("fluid.second", "fluid.second_rate")),
+    ],
 )
-def test_each_part_of_the_state_matters(part, tmp_path):
+def test_each_part_of_the_state_matters(name, part, tmp_path):
     """What the comparison above would say if a part were not restored."""
-    whole = COUPLED["plain"]()
+    whole = COUPLED[name]()
     go(restart_of(tmp_path, whole, every=BREAK), whole.takeStep, STEPS)
-    fsi = COUPLED["plain"]()
+    fsi = COUPLED[name]()
     run = restart_of(tmp_path, fsi)
     run.read(BREAK)
     forget(part)(fsi)
