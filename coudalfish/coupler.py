@@ -274,9 +274,9 @@ class CouDALFISh(checks.Made):
         lam, floors, cells = self.lam, self.floors, self.locator.cells
 
         def restore() -> None:
-            bring_back()
             for array, value in zip(fields, saved, strict=True):
                 array[:] = value
+            bring_back()
             self.lam, self.floors, self.locator.cells = lam, floors, cells
             for integrator in self.integrators:
                 integrator.in_step = False

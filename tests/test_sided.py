@@ -13,10 +13,12 @@ pytestmark = pytest.mark.mpi
 SIDES = ("left", "right", "bottom", "top")
 
 
-def membrane(immersed, level=2, **options):
-    """The manufactured problem before its first step."""
+def membrane(immersed, level=2, cells=None, **options):
+    """The manufactured problem before its first step, with another number of cells along a side than the level's."""
     data = problem.ProblemData()
-    mesh = box(MPI.COMM_WORLD, *problem.fluid_box(data, 2, level))
+    cells = cells or problem.cells_per_side(level)
+    low, high, _ = problem.fluid_box(data, 2, level)
+    mesh = box(MPI.COMM_WORLD, low, high, (cells, cells))
     c = script.constants(mesh.domain, data)
 
     def exact(name):
@@ -24,7 +26,7 @@ def membrane(immersed, level=2, **options):
 
     flow = Flow(
         mesh, WeakVelocity(SIDES, exact("u")), rho=c.rho, mu=c.mu, f=exact("f"),
-        dt=0.5 / problem.cells_per_side(level), scheme=generalized_alpha(data.rho_infinity), immersed=immersed,
+        dt=0.5 / cells, scheme=generalized_alpha(data.rho_infinity), immersed=immersed,
         options=FlowOptions(pin_at=[0.0, 0.0]),
     )  # fmt: skip
     flow.start(exact("u"), exact("p"), projected=True)

@@ -7,7 +7,7 @@ doi:10.1002/fld.195, for the benchmark of a cylinder in a channel).
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import ufl
@@ -33,9 +33,14 @@ def _flow(flow: Any) -> Flow:
     return checked
 
 
+def _sided(flow: Flow, form: ufl.Form) -> ufl.Form:
+    """A form of the flow's fields, side by side where these differ on both sides of a surface."""
+    return form if flow.sides is None else flow.sides.side_by_side(form)
+
+
 def _in_fluid(flow: Flow, integrand: Any) -> ufl.Form:
-    cells = _flow(flow).fluid_cells
-    return ale.per_volume(integrand, flow.fields.motion_end) * flow.mesh.dx(*cells, degree=flow.fields.degree + 1)
+    dx = flow.mesh.dx(*_flow(flow).fluid_cells, degree=flow.fields.degree + 1)
+    return _sided(flow, ale.per_volume(integrand, flow.fields.motion_end) * dx)
 
 
 def flow_rate(flow: Flow, *names: str) -> ufl.Form:
@@ -47,7 +52,7 @@ def flow_rate(flow: Flow, *names: str) -> ufl.Form:
     """
     domain, motion = _flow(flow).mesh.domain, flow.fields.motion_end
     flux = ufl.dot(_velocity(flow), ale.normal(domain, motion))
-    return ale.per_area(flux, domain, motion) * flow.mesh.ds(*names, degree=flow.fields.degree)
+    return _sided(flow, ale.per_area(flux, domain, motion) * flow.mesh.ds(*names, degree=flow.fields.degree))
 
 
 def outlet(flow: Flow, name: str) -> OutletPressure:
@@ -137,7 +142,7 @@ class BoundaryForce:
 
     In a step the equations hold at the time t_alpha of the report, and only until the clocks move: the force of an
     unsteady flow is asked for as ``measure`` of :meth:`varmint.Flow.take_step` or of a coupled step. In the latter
-    the nodes of the facets carry what an immersed surface gives to them as well.
+    the nodes of the facets carry what an immersed surface gives to them as well, unless fields differ on its sides.
 
     Args:
         flow: the flow.
@@ -158,9 +163,12 @@ class BoundaryForce:
                 )
             if not any(inside) and groups != ("solid",):
                 terms.append(form)
-        (self._form,) = compat.compile_forms(sum(terms[1:], terms[0]))
-        self._b = compat.create_vector(flow.V)
-        compat.freed_with(self, self._b)
+        rest = sum(terms[1:], terms[0])
+        self._sided = None if flow.sides is None else flow.sides.rows(rest, names)
+        if self._sided is None:
+            (self._form,) = compat.compile_forms(rest)
+            self._b = compat.create_vector(flow.V)
+            compat.freed_with(self, self._b)
         nodes = compat.nodes_on_facets(flow.V, flow.mesh.facets(*names))
         self._nodes = nodes[nodes < flow.V.dofmap.index_map.size_local]
         self._comm, self._time = flow.mesh.domain.comm, flow.time
@@ -176,10 +184,14 @@ class BoundaryForce:
                 f"the force is asked for between steps, at t = {self._time.time:.6g}: it follows from the equations of"
                 " a step; give it to the step as measure=, and find it in report.measured"
             )
+        rows = (self._plain_rows() if self._sided is None else self._sided())[self._nodes]
+        return -np.asarray(self._comm.allreduce(rows.sum(axis=0), op=MPI.SUM))
+
+    def _plain_rows(self) -> FloatArray:
+        """Rows of the momentum at the nodes of this rank (collective), shape (nodes, d)."""
         compat.assemble_vector(self._b, self._form)
         self._b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        rows = self._b.array_r.reshape(-1, self._d + 1)[self._nodes, : self._d]
-        return -np.asarray(self._comm.allreduce(rows.sum(axis=0), op=MPI.SUM))
+        return np.asarray(self._b.array_r.reshape(-1, self._d + 1)[:, : self._d])
 
 
 class PointValues:
@@ -188,15 +200,21 @@ class PointValues:
     Args:
         flow: the flow.
         points: shape (n, d).
+        side: where fields differ on both sides of a surface, the side in cells that it divides: 1, to which the shell's
+            normals point, or -1; None: that on which a point lies.
 
     Raises:
-        ValueError: a point lies in no cell.
+        ValueError: a point lies in no cell, or a side is asked for where nothing differs.
     """
 
-    def __init__(self, flow: Flow, points: Sequence[Sequence[float]] | FloatArray) -> None:
+    def __init__(
+        self, flow: Flow, points: Sequence[Sequence[float]] | FloatArray, *, side: Literal[-1, 1] | None = None
+    ) -> None:
         d = _flow(flow).mesh.domain.geometry.dim
-        self._function = flow.w
-        self._comm = flow.mesh.domain.comm
+        if side is not None and flow.sides is None:
+            raise ValueError(f"side = {side}: a flow with sides is required, Flow(..., immersed='jump and kink')")
+        self._side = None if side is None else checks.choice("side", side, (-1, 1))
+        self._function, self._sides, self._comm = flow.w, flow.sides, flow.mesh.domain.comm
         self.points = checks.array("points", points, (None, d))
         cells = compat.cells_of_points(flow.mesh.domain, self.points)
         owners = np.array(self._comm.allgather(cells)) >= 0
@@ -211,8 +229,12 @@ class PointValues:
     def __call__(self) -> FloatArray:
         """Values (collective), shape (n, d + 1): velocity, then pressure."""
         values = np.zeros((len(self.points), self.points.shape[1] + 1))
-        if self._mine.any():
-            x = np.pad(self.points[self._mine], ((0, 0), (0, 3 - self.points.shape[1])))
+        points, sides = self.points[self._mine], self._sides
+        if sides is not None:
+            at = self._cells, sides.barycentric(self._cells, points)
+            values[self._mine] = sides.at(*at, self._side)
+        elif self._mine.any():
+            x = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
             values[self._mine] = self._function.eval(x, self._cells).reshape(len(x), -1)
         return np.asarray(self._comm.allreduce(values, op=MPI.SUM))
 
@@ -262,7 +284,7 @@ class NodalField:
     Args:
         flow: the flow.
         name: of the field.
-        expression: UFL scalar or vector.
+        expression: UFL scalar or vector; near a surface with fields that differ on both sides a mean of both.
         measure: what it is averaged over around every vertex; vertices that it does not reach are zero.
         weight: factor of the measure, such as J on a moving mesh.
 
@@ -280,9 +302,8 @@ class NodalField:
         self.field = fem.Function(V, name=name)
         z = ufl.TestFunction(V)
         ones = z if not shape else sum(z[i] for i in range(shape[0]))
-        self._load, self._mass = compat.compile_forms(
-            weight * ufl.inner(expression, z) * measure, weight * ones * measure
-        )
+        load = _sided(flow, weight * ufl.inner(expression, z) * measure)
+        self._load, self._mass = compat.compile_forms(load, weight * ones * measure)
         self._b = [compat.create_vector(V) for _ in range(2)]
         compat.freed_with(self, *self._b)
 

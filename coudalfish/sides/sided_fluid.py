@@ -14,6 +14,7 @@ from coudalfish.surface.enriched import Enriching, Enrichment
 from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.trace import TraceMatrix
 from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
@@ -31,6 +32,7 @@ class FluidSides(Protocol):
         negative: weight of the negative side in divided cells, a quadratic function in each.
         wall: the same on their facets on the boundary.
         doubled: equations of divided cells, and what is divided.
+        given: force that the surface gives to the nodes, into the rows of the unknown, this rank's share.
     """
 
     is_kinked: bool
@@ -39,6 +41,7 @@ class FluidSides(Protocol):
     negative: fem.Function
     wall: fem.Function
     doubled: Doubled
+    given: FloatArray
 
     def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 4) -> float:
         """Integral over the flow at the end of the last step (collective).
@@ -113,10 +116,19 @@ class SidedFluid(FluidSubproblem):
         found = self._found
 
         def bring_back() -> None:
-            if found is not None:
+            if found is None:
+                self.sides.doubled.join()
+            else:
                 self._divide(found)
 
         return bring_back
+
+    def assemble_residual(self, trace: TraceMatrix, forces: FloatArray, impedance: float) -> float:
+        """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
+        at_nodes, given = trace.nodes < len(self._node), self.sides.given
+        given[:] = 0.0
+        given[self.velocity_dofs[trace.nodes[at_nodes]]] = (trace.transposed @ forces)[at_nodes]
+        return super().assemble_residual(trace, forces, impedance)
 
     def _levels(self) -> tuple[FloatArray, FloatArray]:
         time: Any = self.timeInt

@@ -27,6 +27,7 @@ class Doubled:
         cells: mask of the divided cells, ghosts as well, shape (cells,).
         second: mask of the unknowns among the second blocks, shape (nodes, m).
         side: -1 or 1 for every node, shape (nodes,).
+        marker: function that is one in divided cells and zero elsewhere.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class Doubled:
         self.residual, self.joined, self.jumps = residual, tuple(joined), jumps
         V, W = joined[0][0].function_space, joined[0][2].function_space
         self._m = V.dofmap.index_map_bs
+        self.marker = fem.Function(compat.lagrange_space(V.mesh, 0), name="divided")
         self._cell_nodes, of_z = compat.cell_dofs(V), compat.cell_dofs(W)
         nodes = len(joined[0][0].x.array) // self._m
         self.node_of_z = np.empty(nodes, dtype=np.int64)
@@ -44,6 +46,7 @@ class Doubled:
     def divide(self, cells: Any, second: Any, side: FloatArray) -> None:
         """Say what is divided now; arguments as the attributes."""
         self.cells, self.second, self.side = cells, second, side
+        self.marker.x.array[compat.cell_dofs(self.marker.function_space)[:, 0]] = cells
         self._near = np.unique(self._cell_nodes[cells])
         self.join()
 

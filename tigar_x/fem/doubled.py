@@ -317,3 +317,4 @@ class DoubledSystem(FiniteElementSystem):
         self._e.x.array.reshape(-1, m)[self._doubles] -= array[rows:].reshape(-1, m)
         for function in (self.x, self._e):
             function.x.scatter_forward()
+        self._doubled.join(last=True)

@@ -36,8 +36,12 @@ class SidedValues:
         return self._doubled.cells[cells]
 
     def level(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
-        """Phi at points of cells; arguments as in :meth:`at`."""
+        """Values of phi; arguments as in :meth:`at`."""
         return np.asarray(np.einsum("nk,nk->n", barycentric, self._phi.x.array[self._of_phi[cells]]))
+
+    def side(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
+        """Sides on which points of cells lie, -1 or 1; arguments as in :meth:`at`."""
+        return np.where(self.level(cells, barycentric) < 0.0, -1.0, 1.0)
 
     def barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
         """Barycentric coordinates of points in cells, shape (n, d + 1); x of shape (n, d)."""
@@ -62,17 +66,18 @@ class SidedValues:
         mean[there], more[there] = both[..., :m], both[..., m:]
         return mean, more
 
-    def at(self, cells: IntArray, barycentric: FloatArray, s: FloatArray) -> FloatArray:
+    def at(self, cells: IntArray, barycentric: FloatArray, s: FloatArray | float | None) -> FloatArray:
         """Velocity and pressure.
 
         Args:
             cells: local numbers, shape (n,).
             barycentric: coordinates there, shape (n, d + 1).
-            s: sides, -1 or 1, shape (n,).
+            s: sides, -1 or 1, one or shape (n,); None: those on which the points lie.
 
         Returns:
             Shape (n, d + 1).
         """
+        s = self.side(cells, barycentric) if s is None else np.broadcast_to(s, len(cells))
         mean, more = self._nodal(cells)
         values, differences = (np.einsum("nk,nki->ni", barycentric, f) for f in (mean, more))
         phi = self._phi.x.array[self._of_phi[cells]]

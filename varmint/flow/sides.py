@@ -9,17 +9,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
+import numpy as np
 import ufl
 from dolfinx import fem
 
 from tigar_x import compat
+from tigar_x.compat import FloatArray
 from tigar_x.fem.divided import Doubled
 from tigar_x.fem.time_integration import TimeIntegrator
 from varmint.conditions import Condition, Resistance
 from varmint.flow.sided_time import SidedTime
 from varmint.flow.sided_values import SidedValues
 from varmint.flow.state import FlowState
-from varmint.flow.terms import Interior
+from varmint.flow.terms import Interior, Term
 from varmint.forms.sides import SIGNS, Sides, sided_residual, weighted
 from varmint.forms.space import split
 
@@ -46,6 +48,8 @@ class FlowSides(SidedValues):
         size: linear function with its sizes at the nodes.
         negative: weight of the negative side in divided cells, a polynomial in each.
         wall: the same on their facets on the boundary.
+        given: force that the surface gives to the nodes, into the rows of the unknown, this rank's share.
+        terms: of the residual of divided cells, with the facet groups of their conditions or "fluid".
         doubled: equations of divided cells, and what is divided.
     """
 
@@ -64,9 +68,12 @@ class FlowSides(SidedValues):
             (time.x_old, time.second_old, both.x_old),
             (time.xdot_old, time.second_rate, both.xdot_old),
         )
-        residual = self._inside(state, interior, both) + self._boundary(state, conditions, both)
-        residual = ufl.replace(residual, {both.dt: time.dt, both.t: time.t, both.t_alpha: time.t_alpha})
-        self.doubled = Doubled(residual, joined, d)
+        self.given = np.zeros(len(time.x.x.array))
+        clock = {both.dt: time.dt, both.t: time.t, both.t_alpha: time.t_alpha}
+        terms: list[Term] = [(("fluid",), self._inside(state, interior, both))]
+        terms += self._boundary(state, conditions, both)
+        self.terms = [(groups, ufl.replace(term, clock)) for groups, term in terms]
+        self.doubled = Doubled(sum((term for _, term in self.terms[1:]), self.terms[0][1]), joined, d)
         super().__init__(self.phi, self.doubled, state.w)
 
     def fields(self, s: float) -> tuple[Any, Any]:
@@ -76,6 +83,62 @@ class FlowSides(SidedValues):
     def weight(self, s: float) -> Any:
         """Weight of a side in divided cells, UFL."""
         return Sides(self.phi, self.size, self.negative).weight(s)
+
+    def side_by_side(self, form: ufl.Form) -> ufl.Form:
+        """A form of velocity and pressure at the end of the step, ``flow.w``, side by side in divided cells.
+
+        Args:
+            form: integrals over cells and over facets of the boundary; of no higher degree in divided cells than
+                ``DEGREE`` for an exact result, on facets ``WALL_DEGREE``.
+
+        Raises:
+            ValueError: it has other integrals.
+        """
+        here, w = self.doubled.marker, self._state.w
+        result = weighted(form, 1 - here)
+        for integral in form.integrals():
+            kind = integral.integral_type()
+            if kind not in ("cell", "exterior_facet"):
+                raise ValueError(
+                    f"form has an integral of type {kind}: integrals over cells or the boundary are required"
+                )
+            weight, degree = (self.negative, self._degree) if kind == "cell" else (self.wall, 2 * WALL_DEGREE)
+            sides, finer = Sides(self.phi, self.size, weight), dict(integral.metadata())
+            finer["quadrature_degree"] = max(finer.get("quadrature_degree", degree), degree)
+            for s in SIGNS:
+                v, p = sides.fields(self._parts(self._both), s)
+                side = ufl.replace(integral.integrand(), {w: ufl.as_vector([*v, p])})
+                part = here * sides.weight(s) * side
+                result += ufl.Form([integral.reconstruct(integrand=part, metadata=finer)])
+        return result
+
+    def rows(self, plain: ufl.Form, names: Sequence[str]) -> Callable[[], FloatArray]:
+        """What assembles rows of the momentum at all local nodes, with what the surface gives to them.
+
+        Without conditions on some facet groups they are minus the forces there.
+
+        Args:
+            plain: terms of cells that are not divided.
+            names: facet groups.
+
+        Returns:
+            Function without arguments (collective), which gives shape (nodes, d).
+        """
+        kept = [form for groups, form in self.terms if not set(groups) & set(names)]
+        forms = [compat.PartialForm(form) for form in (plain, sum(kept[1:], kept[0]))]
+        total, m = fem.Function(self._state.V), self._d + 1
+
+        def rows() -> FloatArray:
+            doubled, both = self.doubled, np.zeros(len(self._both.x.array))
+            doubled.join(last=True)
+            total.x.array[:] = self.given
+            compat.add_vector(total.x.array, forms[0].on(~doubled.cells))
+            compat.add_vector(both, forms[1].on(doubled.cells))
+            total.x.array.reshape(-1, m)[:] += both.reshape(-1, 2 * m)[doubled.node_of_z, :m]
+            compat.accumulate(total)
+            return np.asarray(total.x.array.reshape(-1, m)[:, : self._d])
+
+        return rows
 
     def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 4) -> float:
         """Integral over the flow at the end of the last step, side by side in divided cells (collective).
@@ -113,17 +176,18 @@ class FlowSides(SidedValues):
             state.mesh.domain, dx=state.mesh.dx(degree=self._degree), **known,
         )  # fmt: skip
 
-    def _boundary(self, state: FlowState, conditions: Sequence[Condition], both: TimeIntegrator) -> ufl.Form:
-        residual, sides = ufl.Form([]), Sides(self.phi, self.size, self.wall)
-        for s in SIGNS:
-            v, p = sides.fields(self._parts(both.x_alpha), s)
-            w, q = sides.fields(self._tests, s)
-            fields = replace(state.fields, v=v, p=p, w=w, q=q, degree=2 * WALL_DEGREE)
-            for condition in conditions:
-                term = condition.term(fields)
+    def _boundary(self, state: FlowState, conditions: Sequence[Condition], both: TimeIntegrator) -> list[Term]:
+        sides, terms = Sides(self.phi, self.size, self.wall), []
+        of_sides = [(sides.fields(self._parts(both.x_alpha), s), sides.fields(self._tests, s), s) for s in SIGNS]
+        for condition in conditions:
+            total = ufl.Form([])
+            for (v, p), (w, q), s in of_sides:
+                term = condition.term(replace(state.fields, v=v, p=p, w=w, q=q, degree=2 * WALL_DEGREE))
                 if term is not None:
-                    residual += weighted(term, sides.weight(s))
-        return residual
+                    total += weighted(term, sides.weight(s))
+            if not total.empty():
+                terms.append((condition.groups, total))
+        return terms
 
     @property
     def _tests(self) -> tuple[Any, Any, Any, Any]:
