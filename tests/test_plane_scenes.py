@@ -54,6 +54,15 @@ def test_kinks_at_a_held_arc_do_not_grow_at_small_steps():
     assert found.imbalance < 1e-12
 
 
+@pytest.mark.mpi
+def test_with_jump_and_kink_next_to_nothing_flows_at_an_arc_whatever_the_pressure():
+    """Forces beside the place of the jump, or a jump on the arc's inner side, move ten times as much."""
+    light, heavy = HeldSheet(16).run(SHARP), HeldSheet(16, jump=1e5, dt=1e5**-0.5).run(SHARP)
+    assert light.figures["velocity"] < 6e-5
+    assert heavy.figures["velocity"] == pytest.approx(light.figures["velocity"], rel=0.2)
+    assert max(abs(light.figures["leak"]), abs(heavy.figures["leak"])) < 1e-7
+
+
 def test_a_shifted_sheet_stands_where_it_is_said_to():
     places = [found.figures["velocity"] for found in HeldSheet(4, ramp=3, steps=3).shifted(places=3)]
     alone = [HeldSheet(4, ramp=3, steps=3, place=0.37 + shift).run().figures["velocity"] for shift in (0, 1 / 3, 2 / 3)]
@@ -100,6 +109,7 @@ def test_a_ring_keeps_its_area_with_a_converged_multiplier():
     assert converged.figures["lost"] < 0.02
     assert converged.figures["roundness"] > 0.9
     assert converged.imbalance < 1e-12
+    assert ring.run(SHARP).figures["lost"] < 6e-4
 
 
 def test_the_exact_layers_of_a_plate_are_those_of_a_half_space():

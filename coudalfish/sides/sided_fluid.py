@@ -11,7 +11,7 @@ from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.surface.cut_cells import SideWeights
 from coudalfish.surface.distance import Curves
 from coudalfish.surface.enriched import Enriching, Enrichment
-from coudalfish.surface.kinks import KinkedMeeting
+from coudalfish.surface.kinks import KinkedMeeting, onto_zero_line
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix
@@ -85,10 +85,12 @@ class SidedFluid(FluidSubproblem):
 
     def place(self, meeting: Meeting, sheets: Sheets, x: FloatArray, *, scale_m: float, scale_c: float) -> Meeting:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""
-        found = self._enriching(Curves.of(sheets, x))
+        found = self._enriching(Curves.of(sheets, x), meeting)
         self._divide(found)
         phi = np.nan_to_num(found.phi)
-        return KinkedMeeting.of(meeting, phi, found.kink) if self.sides.is_kinked else meeting
+        divided, (vertices, corners) = self.sides.doubled.cells, (self._enriching.vertices, self._enriching.corners)
+        location = onto_zero_line(meeting.location, phi[vertices], corners, divided)
+        return KinkedMeeting.of(meeting, self.velocity_space, location, phi, found.kink)
 
     def _divide(self, found: Enrichment) -> None:
         """Take over what the surface divides (collective)."""

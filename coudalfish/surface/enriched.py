@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from coudalfish.surface.cut_cells import CutCells
 from coudalfish.surface.distance import Curves
+from coudalfish.surface.meeting import Meeting
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 
@@ -30,6 +31,10 @@ OFF_LINE = 1.0 / 3.0
 line: half way between two curves the sign changes as well. They are told apart when they are two cells apart."""
 SAMPLES = 16
 """Places at which a piece of the zero line near a free end is asked whether the curve covers it."""
+CORRECTIONS = 2
+"""How often the signed distance is corrected by its means over the curve around every node."""
+BESIDE = 0.1
+"""Distance of the zero line from a place on the curve, relative to the cell, beyond which it is another curve's."""
 REACH = 4.0
 """Distance from the curve and its ends, in sizes of the largest cell, up to which sides are known."""
 
@@ -39,7 +44,8 @@ class Enrichment:
     """What a curve does to a mesh.
 
     Attributes:
-        phi: signed distance at the nodes, not a number far away, shape (nodes,); unit: length.
+        phi: signed distance at the nodes, corrected so that its zero line is where the curve is on average, not a
+            number far away, shape (nodes,); unit: length.
         cut: cells in which one of the nodes is enriched, ghosts as well.
         jump: mask of the nodes at which the pressure jumps, shape (nodes,).
         kink: mask of the nodes at which the velocity is kinked, shape (nodes,).
@@ -81,9 +87,15 @@ class Enriching:
         compat.accumulate(self._sum)
         return np.asarray(array.copy())
 
-    def __call__(self, curves: Curves) -> Enrichment:
-        """By curves where they are (collective)."""
+    def __call__(self, curves: Curves, meeting: Meeting | None = None) -> Enrichment:
+        """By curves where they are (collective).
+
+        Args:
+            curves: the curves.
+            meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
+        """
         phi = curves.signed_distance(self.x, REACH * self._largest)
+        phi = phi if meeting is None else self._centred(phi, meeting)
         cut = self._real(CutCells.of(self.vertices, phi), curves)
         mine = cut.only(cut.cells < self._owned)
         negative = self.vertices[mine.cells]
@@ -98,6 +110,30 @@ class Enriching:
             kink = (self._total(mine.cells, bent.astype(np.float64)) > 0.0) & covered
         concerned = (jump | kink)[self.vertices[cut.cells]].any(axis=1)
         return Enrichment(phi, cut.only(concerned), jump, kink)
+
+    def _centred(self, phi: FloatArray, meeting: Meeting) -> FloatArray:
+        """Values with a zero line from which the curve departs to both sides alike (collective).
+
+        The line between points of a bent curve is on its inner side, and a jump of the pressure there makes a pair with
+        the forces on the curve.
+        """
+        (E, areas), nodes = meeting.penalty, meeting.trace.nodes
+        cells = meeting.location.cells
+        spread = np.where(cells >= 0, np.ptp(phi[self.vertices[cells]], axis=1), 0.0)
+        for _ in range(CORRECTIONS):
+            off = E @ phi[nodes]
+            w = np.where(np.abs(off) <= BESIDE * spread, areas, 0.0)
+            area, sums = self._summed(nodes, E.T @ w), self._summed(nodes, E.T @ (w * off))
+            phi = phi - np.divide(sums, area, out=np.zeros_like(sums), where=area > 0.0)
+        return phi
+
+    def _summed(self, nodes: Any, values: FloatArray) -> FloatArray:
+        """At all nodes the sums over the ranks of values at some (collective)."""
+        array = self._sum.x.array
+        array[:] = 0.0
+        array[nodes] = values
+        compat.accumulate(self._sum)
+        return np.asarray(array.copy())
 
     def _real(self, cut: CutCells, curves: Curves) -> CutCells:
         """Those that a curve or its continuation cuts, not the middle line between two curves."""
