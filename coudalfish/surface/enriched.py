@@ -35,6 +35,8 @@ CORRECTIONS = 2
 """How often the signed distance is corrected by its means over the curve around every node."""
 BESIDE = 0.1
 """Distance of the zero line from a place on the curve, relative to the cell, beyond which it is another curve's."""
+ALONG = 1e-12
+"""Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
 REACH = 4.0
 """Distance from the curve and its ends, in sizes of the largest cell, up to which sides are known."""
 
@@ -122,6 +124,7 @@ class Enriching:
         spread = np.where(cells >= 0, np.ptp(phi[self.vertices[cells]], axis=1), 0.0)
         for _ in range(CORRECTIONS):
             off = E @ phi[nodes]
+            off = np.where(np.abs(off) <= ALONG * spread, 0.0, off)
             w = np.where(np.abs(off) <= BESIDE * spread, areas, 0.0)
             area, sums = self._summed(nodes, E.T @ w), self._summed(nodes, E.T @ (w * off))
             phi = phi - np.divide(sums, area, out=np.zeros_like(sums), where=area > 0.0)
