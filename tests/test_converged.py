@@ -22,6 +22,7 @@ from coudalfish.surface.sheets import Sheets
 from tigar_x.fem.linear import SolveError, direct, gmres_ilu
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.geometry import shapes
+from tigar_x.geometry.bspline import BSplineBasis, periodic_knots
 from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
@@ -88,6 +89,17 @@ def test_functions_go_on_across_joints_along_normals_that_agree():
     np.testing.assert_allclose(N.sum(axis=1), sheets.sign, atol=1e-13)
     loop = [shapes.line(*pair, elements=8) for pair in pairwise((*ends, ends[0]))]
     assert hats_on(glued(*loop), 0.25)[1].shape[1] == 4 + 4 + 7
+
+
+def test_functions_of_a_closed_curve_go_on_at_its_seam():
+    """One patch without ends: every function is as large as the others."""
+    circle = BSplineBasis(2, periodic_knots(2, np.linspace(0.0, 2.0 * np.pi, 33)), periodic=True)
+    sheets, N, area = hats_on(shapes.interpolated(lambda t: (np.cos(t), np.sin(t)), [circle]), 2.0 * np.pi / 8.0)
+    assert N.shape[1] == 8
+    np.testing.assert_allclose(N.T @ area, area.sum() / 8.0, rtol=5e-3)
+    (a, b), *others = sheets.joints
+    assert not others
+    np.testing.assert_array_equal(N[a], N[b])
 
 
 def test_functions_on_surfaces_are_products():
@@ -220,6 +232,27 @@ def test_points_outside_the_fluid_have_no_multiplier(warned):
     assert inactive[0] == 0
     assert 4 < inactive[6] < inactive[-1]
     assert not any("fall back" in text for text in warned())
+
+
+@pytest.mark.mpi
+def test_a_closed_curve_keeps_what_is_in_it(warned):
+    """Four light sheets that are joined, dropped into a flow: with a multiplier that lags the seventh step fails."""
+    corners = (0.3, 0.3), (0.7, 0.32), (0.68, 0.7), (0.32, 0.68)
+    sides = list(pairwise((*corners, corners[0])))
+    start = {"ends": sides, "join": True, "stiffness": 50.0, "sheet_velocity": (0.0, 0.0)}
+    s = sheet_in_flow(n=12, dt=0.05, mu=0.01, options=CouplingOptions.converged(), **start)
+    before = area_inside(s)
+    for _ in range(10):
+        assert s.fsi.takeStep().attempts == 1
+    assert np.abs(s.fsi.spline_sh.nodal(s.fsi.timeInt_sh.x)).max() > 0.05
+    assert area_inside(s) == pytest.approx(before, rel=1e-3)
+    assert not any("fall back" in text for text in warned())
+
+
+def area_inside(s):
+    """Area of the polygon of a closed curve's points."""
+    a, b = (s.shell.quadrature.points + s.fsi.spline_sh.nodal(s.fsi.timeInt_sh.x))[s.shell.sheets.cells.T]
+    return 0.5 * np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 @pytest.mark.mpi
