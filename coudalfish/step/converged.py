@@ -158,9 +158,7 @@ class ConvergedMultiplier:
             step.fluid.assemble_tangent(step.trace, self._part)
             step.block = "shell"
             ranks.agreed(step.comm, lambda: shell.assemble_tangent(step.W, step.beta))
-        elif ranks.first(step.comm, shell.touching is not None):
-            shell.renew_contact()
-        acts = np.where(self._held | (step.W == 0.0), 0.0, 1.0)[:, None]
+        acts = np.where(self._held, 0.0, 1.0)[:, None]
         return Linearised(
             fluid=step.fluid,
             trace=step.trace,

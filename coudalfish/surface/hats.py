@@ -95,15 +95,21 @@ def _joined(N: sp.csr_matrix, joints: IntArray) -> sp.csr_matrix:
 
 
 def _without_small_ones(N: sp.csr_matrix, weights: FloatArray, least: float) -> sp.csr_matrix:
-    """The same functions with those of less area added to the neighbour that they overlap most."""
-    area = N.T @ weights
-    small = area < least
-    if not small.any() or small.all():
-        return N
-    overlap = (N.T @ sp.diags(weights) @ N).toarray()
-    np.fill_diagonal(overlap, -1.0)
-    overlap[:, small] = -1.0
-    columns = np.arange(N.shape[1])
-    target = np.where(small & (overlap.max(axis=1) > 0.0), overlap.argmax(axis=1), columns)
-    kept, column = np.unique(target, return_inverse=True)
-    return N @ sp.csr_matrix((np.ones(len(columns)), (columns, column.ravel())), shape=(len(columns), len(kept)))
+    """The same functions, of which the smallest is added to the one that it overlaps most, until all have an area."""
+    area, overlap = N.T @ weights, (N.T @ sp.diags(weights) @ N).toarray()
+    np.fill_diagonal(overlap, 0.0)
+    column = np.arange(N.shape[1])
+    while area.min() < least:
+        small = int(area.argmin())
+        other = int(overlap[small].argmax())
+        if overlap[small, other] > 0.0:
+            area[other] += area[small]
+            overlap[other] += overlap[small]
+            overlap[:, other] += overlap[:, small]
+            overlap[other, other] = 0.0
+            column[column == small] = other
+        area[small], overlap[small], overlap[:, small] = np.inf, 0.0, 0.0  # merged, or a piece of its own
+    kept, column = np.unique(column, return_inverse=True)
+    return N @ sp.csr_matrix(
+        (np.ones(len(column)), (np.arange(len(column)), column.ravel())), shape=(len(column), len(kept))
+    )
