@@ -74,11 +74,12 @@ class Curves:
     def _middles(self) -> cKDTree:
         return cKDTree(self.x[self.segments].mean(axis=1))
 
-    def _nearest(self, x: FloatArray, reach: float) -> "_Nearest":
+    def _nearest(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> "_Nearest":
         """Nearest places of the curves to points that are not farther than a distance."""
         tangents, lengths = self._tangents
         radius = reach + 0.5 * float(lengths.max(initial=0.0))
-        near = cKDTree(x).sparse_distance_matrix(self._middles, radius, output_type="ndarray")
+        points = cKDTree(x) if tree is None else tree
+        near = points.sparse_distance_matrix(self._middles, radius, output_type="ndarray")
         i, k = near["i"], near["j"]
         arms = x[i] - self.x[self.segments[k, 0]]
         along = np.clip((arms * tangents[k]).sum(axis=1), 0.0, lengths[k])
@@ -91,18 +92,19 @@ class Curves:
         corner = np.where(along <= 0.0, self.segments[k, 0], np.where(along >= lengths[k], self.segments[k, 1], -1))
         return _Nearest(i, k, corner, gap[best], distance[best])
 
-    def signed_distance(self, x: FloatArray, reach: float) -> FloatArray:
+    def signed_distance(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> FloatArray:
         """Distance from the nearest curve, positive on the side to which the normals point.
 
         Args:
             x: points, shape (m, d); unit: length.
             reach: farther points get none; unit: length.
+            tree: of the points; None: it is made.
 
         Returns:
             Shape (m,), not a number where a point is farther; beyond a free end the distance from the straight line
             that continues it. Unit: length.
         """
-        near, (of_segments, of_points) = self._nearest(x, reach), self._normals
+        near, (of_segments, of_points) = self._nearest(x, reach, tree), self._normals
         at_corner = near.corner >= 0
         normal = np.where(at_corner[:, None], of_points[near.corner], of_segments[near.segment])
         side = (near.gap * normal).sum(axis=1)
@@ -111,11 +113,13 @@ class Curves:
         result[near.point] = np.where(beyond, side, np.where(side < 0.0, -near.distance, near.distance))
         return result
 
-    def near_ends(self, x: FloatArray, reach: float) -> Any:
-        """Mask of the points that are not farther than a distance from a free end, shape (m,)."""
-        if not self.free.any():
-            return np.zeros(len(x), dtype=bool)
-        return cKDTree(self.x[self.free]).query(x)[0] <= reach
+    def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> Any:
+        """Mask of the points that are not farther than a distance from a free end, shape (m,); see above."""
+        result, ends = np.zeros(len(x), dtype=bool), self.x[self.free]
+        if len(ends) and len(x):
+            found = (cKDTree(x) if tree is None else tree).query_ball_point(ends, reach)
+            result[np.concatenate(found).astype(np.int64)] = True
+        return result
 
     def covers(self, x: FloatArray, reach: float) -> Any:
         """Whether the nearest place of the curves is not beyond a free end, shape (m,).

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 from dolfinx import fem
+from scipy.spatial import cKDTree
 
 from coudalfish.surface.cut_cells import CutCells
 from coudalfish.surface.distance import Curves
@@ -37,8 +38,10 @@ BESIDE = 0.1
 """Distance of the zero line from a place on the curve, relative to the cell, beyond which it is another curve's."""
 ALONG = 1e-12
 """Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
+NEAR = 1.5
+"""Distance from the curve, in sizes of the largest cell, up to which sides are known."""
 REACH = 4.0
-"""Distance from the curve and its ends, in sizes of the largest cell, up to which sides are known."""
+"""The same near its free ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,7 @@ class Enriching:
         self._kinked, self._sum = kinked, fem.Function(space)
         self.vertices = compat.cell_dofs(space)
         self.x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
+        self._tree = cKDTree(self.x)
         self.corners = self.x[self.vertices]
         arms = self.corners[:, 1:] - self.corners[:, :1]
         self._areas = 0.5 * np.abs(np.linalg.det(arms))
@@ -96,7 +100,9 @@ class Enriching:
             curves: the curves.
             meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
         """
-        phi = curves.signed_distance(self.x, REACH * self._largest)
+        phi = curves.signed_distance(self.x, NEAR * self._largest, self._tree)
+        ends = np.flatnonzero(curves.near_ends(self.x, REACH * self._largest, self._tree))
+        phi[ends] = curves.signed_distance(self.x[ends], REACH * self._largest)
         phi = phi if meeting is None else self._centred(phi, meeting)
         cut = self._real(CutCells.of(self.vertices, phi), curves)
         mine = cut.only(cut.cells < self._owned)
@@ -141,7 +147,7 @@ class Enriching:
     def _real(self, cut: CutCells, curves: Curves) -> CutCells:
         """Those that a curve or its continuation cuts, not the middle line between two curves."""
         middle = cut.line(self.corners).mean(axis=1)
-        off = np.abs(curves.signed_distance(middle, REACH * self._largest))
+        off = np.abs(curves.signed_distance(middle, OFF_LINE * NEAR * self._largest))
         return cut.only(off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0))
 
     def _covered(self, cut: CutCells, curves: Curves) -> Any:

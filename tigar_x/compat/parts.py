@@ -11,6 +11,7 @@ from tigar_x.compat.forms import compile_forms
 from tigar_x.compat.meshes import connectivity, owned_cells
 from tigar_x.compat.release import VERSION, IntArray
 
+_FFI = cffi.FFI()
 KINDS = {"cell": cpp.fem.IntegralType.cell, "exterior_facet": cpp.fem.IntegralType.exterior_facet}
 """Kinds of integrals that can be confined: each entity belongs to one cell."""
 
@@ -96,7 +97,7 @@ class PartialForm:
         whole = self.whole
         if VERSION < (0, 9):
             domains = {KINDS[kind]: found for kind, found in tags.items()}
-            return type(whole)(whole.ufcx_form, *parts, domains, whole.mesh, cffi.FFI(), whole.code)
+            return type(whole)(whole.ufcx_form, *parts, domains, whole.mesh, _FFI, whole.code)
         forms: Any = fem.forms
         entities = {
             KINDS[kind]: forms.get_integration_domains(
