@@ -239,17 +239,19 @@ class CouDALFISh(checks.Made):
 
     def _attempt(self, restore: Callable[[], None]) -> Outcome:
         """Run the step in the way that the options ask for, and where that fails in the next one."""
-        *others, last = self.attempts
-        for k, attempt in enumerate(others):
+        ways = self.attempts
+        for k, attempt in enumerate(ways):
             try:
-                return self._run(attempt, restore)
+                outcome = self._run(attempt, restore)
             except StepError as error:
-                text = "%s; from here on such steps fall back to a lagged multiplier (attempt %d)"
-                self.watch.warn_once("fallback", text, error, k + 2)
-            restore()
-        outcome = self._run(last, restore)
-        report = replace(outcome.report, attempts=outcome.report.attempts + len(others))
-        return replace(outcome, report=report)
+                if k == len(ways) - 1:
+                    raise
+                text = "%s; from here on such steps %s (attempt %d)"
+                self.watch.warn_once(ways[k + 1].what, text, error, ways[k + 1].what, k + 2)
+                restore()
+            else:
+                break
+        return replace(outcome, report=replace(outcome.report, attempts=outcome.report.attempts + k))
 
     def _run(self, attempt: Attempt, restore: Callable[[], None]) -> Outcome:
         """Run the step, and once more with caution when it does not converge; the first failure gives the diagnosis."""

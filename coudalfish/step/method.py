@@ -115,7 +115,9 @@ class Attempt:
     Attributes:
         method: kind of the multiplier.
         options: of the coupling.
+        what: what is said of it where those before have failed.
     """
 
     method: Method
     options: CouplingOptions
+    what: str = ""

@@ -35,7 +35,8 @@ class StepReport:
             is written of them.
         t_alpha: time at which the equations hold, to which pressures, multiplier, slip, forces and contact belong: all
             of ``monitors`` and ``contact``.
-        attempts: 1, or 2 when the step converged only under-relaxed.
+        attempts: which attempt at the step this is, 1 for the first: under-relaxed ones, and those that options fall
+            back to, follow.
         passes: block passes of the last attempt, each one solve of the fluid and one of the shell.
         residuals: norms (fluid, shell) of every test; unit: force.
         linear_iterations: iterations of the fluid's linear solver in all passes.

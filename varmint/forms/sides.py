@@ -75,6 +75,7 @@ def sided_residual(
     rates: tuple[Any, Any],
     domain: Any,
     *,
+    rho: Any,
     mu: Any,
     smoothing: Any = 0.1,
     dx: ufl.Measure,
@@ -83,7 +84,9 @@ def sided_residual(
     """Residual in cells that are divided: Galerkin terms, SUPG, PSPG and grad-div on either side.
 
     Cross stress and Reynolds stress are left out, with which impulsive starts fail. Kinks in cells of which one side is
-    small are as good as free, and are therefore smoothed by ``smoothing mu h^2 grad a : grad b`` over whole cells.
+    small are as good as free, and kinks that differ on both sides have hardly any inertia, so that they grow from step
+    to step where mu is small. Both are cured by ``smoothing (mu h^2 grad a + rho h^4 grad a_t) : grad b`` over whole
+    cells, of which steady flows do not know the rate.
 
     Args:
         sides: the sides.
@@ -91,6 +94,7 @@ def sided_residual(
         tests: their test functions.
         rates: those of u and a at fixed phi.
         domain: mesh of triangles or tetrahedra.
+        rho: density.
         mu: dynamic viscosity.
         smoothing: dimensionless factor.
         dx: the divided cells, with a quadrature that the weights of the sides go with.
@@ -104,10 +108,11 @@ def sided_residual(
     for s in SIGNS:
         fields = *sides.fields((u, p, a, j), s), *sides.fields((w, q, b, k), s)
         rate = sides.velocity(u_t, a_t, s)
-        side = interior_residual(*fields, domain, mu=mu, v_t=rate, dx=dx, stresses=False, **known)
+        side = interior_residual(*fields, domain, rho=rho, mu=mu, v_t=rate, dx=dx, stresses=False, **known)
         residual += weighted(side, sides.weight(s))
     if a is None:
         return residual
     d = domain.geometry.dim
     h_squared = (ufl.CellVolume(domain) * (2 if d == 2 else 6)) ** (2 / d)
-    return residual + smoothing * mu * h_squared * ufl.inner(ufl.grad(a), ufl.grad(b)) * dx
+    smoothed = mu * h_squared * ufl.grad(a) + rho * h_squared**2 * ufl.grad(a_t)
+    return residual + smoothing * ufl.inner(smoothed, ufl.grad(b)) * dx
