@@ -84,9 +84,7 @@ def sided_residual(
     """Residual in cells that are divided: Galerkin terms, SUPG, PSPG and grad-div on either side.
 
     Cross stress and Reynolds stress are left out, with which impulsive starts fail. Kinks in cells of which one side is
-    small are as good as free, and kinks that differ on both sides have hardly any inertia, so that they grow from step
-    to step where mu is small. Both are cured by ``smoothing (mu h^2 grad a + rho h^4 grad a_t) : grad b`` over whole
-    cells, of which steady flows do not know the rate.
+    small are as good as free, and are therefore smoothed by ``smoothing mu h^2 grad a : grad b`` over whole cells.
 
     Args:
         sides: the sides.
@@ -114,5 +112,4 @@ def sided_residual(
         return residual
     d = domain.geometry.dim
     h_squared = (ufl.CellVolume(domain) * (2 if d == 2 else 6)) ** (2 / d)
-    smoothed = mu * h_squared * ufl.grad(a) + rho * h_squared**2 * ufl.grad(a_t)
-    return residual + smoothing * ufl.inner(smoothed, ufl.grad(b)) * dx
+    return residual + smoothing * mu * h_squared * ufl.inner(ufl.grad(a), ufl.grad(b)) * dx
