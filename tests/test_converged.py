@@ -16,7 +16,7 @@ from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
 from coudalfish.restart import CoupledState
 from coudalfish.step import condensed
 from coudalfish.step.attempts import FALLBACK
-from coudalfish.step.converged import fit
+from coudalfish.step.converged import nearest_coefficients
 from coudalfish.surface.hats import hat_functions
 from coudalfish.surface.sheets import Sheets
 from tigar_x.fem.linear import SolveError, direct, gmres_ilu
@@ -108,7 +108,7 @@ def test_functions_on_surfaces_are_products():
     )
     assert N.shape[1] == 5 * 3
     linear = sheets.X @ [2.0, -1.0, 0.0] + 3.0
-    np.testing.assert_allclose(N @ (fit(csr_matrix(N), area) @ linear), linear, atol=1e-12)
+    np.testing.assert_allclose(N @ (nearest_coefficients(csr_matrix(N), area) @ linear), linear, atol=1e-12)
 
 
 @pytest.mark.parametrize(("size", "width", "left"), [(0.2, 1.0, 20), (0.125, 0.3, 21), (0.125, 0.05, 5)])
@@ -135,7 +135,9 @@ def test_a_short_curve_has_a_function_of_its_own_and_takes_none_from_others():
 def test_coefficients_are_those_of_the_nearest_multiplier_in_the_mean_over_areas():
     sheets, N, area = hats_on(shapes.line((0.0, 0.0), (1.2, 0.9), elements=10), 0.26)
     area, lam = area * (1.0 + sheets.X[:, 0]), np.cos(7.0 * sheets.X[:, 0])
-    np.testing.assert_allclose(N.T @ (area * (lam - N @ (fit(csr_matrix(N), area) @ lam))), 0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        N.T @ (area * (lam - N @ (nearest_coefficients(csr_matrix(N), area) @ lam))), 0.0, atol=1e-14
+    )
 
 
 # -- steps ------------------------------------------------------------------------------------------------------------
@@ -170,7 +172,7 @@ def test_the_multiplier_is_one_of_its_functions_and_is_what_the_next_step_starts
     s = in_flow()
     s.fsi.takeStep()
     N = s.fsi.attempts[0].method.functions
-    c = fit(N, s.shell.quadrature.weights) @ s.fsi.lam
+    c = nearest_coefficients(N, s.shell.quadrature.weights) @ s.fsi.lam
     np.testing.assert_allclose(N @ c, s.fsi.lam, rtol=0.0, atol=1e-12 * np.abs(s.fsi.lam).max())
     assert np.abs(s.fsi.lam).max() > 0.0
 

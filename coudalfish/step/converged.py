@@ -58,7 +58,7 @@ class Converged:
         d, vector = shell.spline.nsd, options.multiplier_direction == "vector"
         self.functions = sp.csr_matrix(abs(N)) if vector else N  # a vector has no side
         self.functions_t, self.areas_t = self.functions.T.tocsr(), abs(N).T.tocsr()
-        self.fit = fit(self.functions, shell.quadrature.weights)
+        self.fit = nearest_coefficients(self.functions, shell.quadrature.weights)
         self._spread = sp.kron(self.functions, np.eye(d) if vector else np.ones((d, 1)), format="csr")
         self._rows = np.repeat(np.arange(self._spread.shape[0]), np.diff(self._spread.indptr))
         self.displacements_t = shell.displacements.T.tocsr()
@@ -203,7 +203,7 @@ class ConvergedMultiplier:
         return self.whole
 
 
-def fit(N: sp.csr_matrix, W: FloatArray) -> FloatArray:
+def nearest_coefficients(N: sp.csr_matrix, W: FloatArray) -> FloatArray:
     """From multipliers to the coefficients of the functions that are nearest to them in the mean over areas.
 
     Args:
