@@ -200,8 +200,8 @@ class PointValues:
     Args:
         flow: the flow.
         points: shape (n, d).
-        side: where fields differ on both sides of a surface, the side in cells that it divides: 1, to which the shell's
-            normals point, or -1; None: that on which a point lies.
+        side: where fields differ on both sides of a surface, the side in cells that it divides: -1, to which the
+            shell's normals point, or 1; None: that on which a point lies.
 
     Raises:
         ValueError: a point lies in no cell, or a side is asked for where nothing differs.

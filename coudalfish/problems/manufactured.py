@@ -102,7 +102,7 @@ def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None) -> SimpleNamespace:
 
 
 def is_left(x: Any, t: Any, c: Any, s: Any) -> Any:
-    """UFL condition of the left part on a side of the membrane, whose normals point there.
+    """UFL condition of the left part on a side of the membrane, whose left one is 1.
 
     Args:
         x: position.

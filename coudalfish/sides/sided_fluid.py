@@ -43,6 +43,21 @@ class FluidSides(Protocol):
     doubled: Doubled
     given: FloatArray
 
+    def is_divided(self, cells: IntArray) -> Any:
+        """Mask of those of some cells that are divided."""
+
+    def level(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
+        """Values of phi at points of cells, shape (n,)."""
+
+    def side(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
+        """Sides on which they lie, shape (n,)."""
+
+    def at(self, cells: IntArray, barycentric: FloatArray, s: FloatArray) -> FloatArray:
+        """Velocity and pressure there at the end of the step, each on a side, shape (n, d + 1)."""
+
+    def mean_gradient_at(self, cells: IntArray, barycentric: FloatArray, s: float) -> FloatArray:
+        """Gradient of the velocity on a side from means around nodes (collective), component first, (n, d, d)."""
+
     def integral(self, f: Callable[[Any, Any, Any], Any], degree: int = 4) -> float:
         """Integral over the flow at the end of the last step (collective).
 

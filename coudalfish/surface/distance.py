@@ -93,7 +93,7 @@ class Curves:
         return _Nearest(i, k, corner, gap[best], distance[best])
 
     def signed_distance(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> FloatArray:
-        """Distance from the nearest curve, positive on the side to which the normals point.
+        """Distance from the nearest curve, positive to its left, and negative where normals of a shell point.
 
         Args:
             x: points, shape (m, d); unit: length.

@@ -97,6 +97,37 @@ class SidedValues:
         smooth = np.einsum("nki,nkj->nij", nodal, slopes)
         return np.asarray(smooth + np.einsum("ni,nk,nkj->nij", kink, bend, slopes))
 
+    def mean_gradient_at(self, cells: IntArray, barycentric: FloatArray, s: float) -> FloatArray:
+        """Gradient of the velocity from means around nodes over what lies on a side, by area (collective).
+
+        A kink is not well determined where a cell has little on a side; in the mean that counts little.
+
+        Args:
+            cells: local numbers, shape (n,).
+            barycentric: coordinates there, shape (n, d + 1).
+            s: side, -1 or 1.
+
+        Returns:
+            Shape (n, d, d), component first.
+        """
+        V, pieces, d = self.function.function_space, self.pieces(), self._d
+        whole = np.setdiff1d(np.arange(compat.owned_cells(V.mesh)), pieces.cells)
+        middle = np.full((len(whole), d + 1), 1.0 / (d + 1))
+        on_side, mine = self.side(whole, middle) == s, pieces.side == s
+        of = np.concatenate([whole[on_side], pieces.cells[mine]])
+        at = np.concatenate([middle[on_side], pieces.barycentric[mine].mean(axis=1)])
+        share = np.concatenate([np.ones(on_side.sum()), np.abs(np.linalg.det(pieces.barycentric[mine]))])
+        area = share / np.abs(np.linalg.det(self._slopes(of)[:, 1:]))
+        grad = self.gradient_at(of, at, np.full(len(of), s)).reshape(-1, d * d)
+        sums, nodes = fem.Function(self._phi.function_space), self._of_phi
+        totals = []
+        for values in (area, *(area * component for component in grad.T)):
+            sums.x.array[:] = np.bincount(nodes[of].ravel(), np.repeat(values, d + 1), len(sums.x.array))
+            compat.accumulate(sums)
+            totals.append(sums.x.array.copy())
+        means = np.column_stack(totals[1:]) / np.where(totals[0] > 0.0, totals[0], 1.0)[:, None]
+        return np.asarray(np.einsum("nk,nki->ni", barycentric, means[nodes[cells]]).reshape(-1, d, d))
+
     def pieces(self) -> SidedPieces:
         """Pieces of the cells of this rank that are divided."""
         owned = compat.owned_cells(self.function.function_space.mesh)
