@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from coudalfish.coupler import CouDALFISh
 from coudalfish.surface.exchange import tractions
 from tigar_x import checks
 from tigar_x.compat import FloatArray
@@ -51,7 +50,7 @@ class SideStresses:
         return front - behind + tractions(self.pressure[:, 1] - self.pressure[:, 0], self.normal)
 
 
-def side_stresses(fsi: CouDALFISh) -> SideStresses:
+def side_stresses(fsi: Any) -> SideStresses:
     """Stresses on both sides at the end of the last step (collective).
 
     Args:
@@ -60,7 +59,8 @@ def side_stresses(fsi: CouDALFISh) -> SideStresses:
     Raises:
         ValueError: nothing differs in the flow.
     """
-    sides, shell = getattr(fsi.fluid, "sides", None), fsi.shell
+    checks.having("fsi", fsi, "fluid shell locator spline_sh", "CouDALFISh(fluid, shell)")
+    sides, shell = fsi.fluid.sides, fsi.shell
     if sides is None:
         raise ValueError(
             "fsi: a flow whose fields differ on both sides is required, Flow(..., immersed='jump and kink')"
@@ -81,7 +81,7 @@ def side_stresses(fsi: CouDALFISh) -> SideStresses:
     return SideStresses(x, n, total[:, :, 0], total[:, :, 1:])
 
 
-def _beyond(fsi: CouDALFISh, x: FloatArray, s: float) -> FloatArray:
+def _beyond(fsi: Any, x: FloatArray, s: float) -> FloatArray:
     """How far points have to move to a side for a cell that knows it (collective), shape (points,)."""
     sides: Any = fsi.fluid.sides
     at, gap = fsi.locator.locate(x), np.zeros(len(x))
