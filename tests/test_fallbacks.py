@@ -142,6 +142,18 @@ def test_failures_leave_no_options_behind():
 
 
 @pytest.mark.mpi
+def test_a_preconditioner_that_someone_keeps_goes_with_its_solver():
+    """With its factors; PETSc would keep them until the end of the run."""
+    A = blocked_matrix()
+    fill(A, 3.0)
+    solver = PreparedSolver(direct(), A)
+    kept = solver.preconditioner()
+    assert kept.handle
+    assert solver.preconditioner() is kept
+    del solver
+    assert not kept.handle
+
+
 def test_an_unknown_option_fails_in_words_and_falls_back():
     A = blocked_matrix("aij")
     b, x = loads(A)

@@ -148,6 +148,13 @@ class PreparedSolver:
             self._tolerances = ksp.getTolerances()[:2]
         return ksp
 
+    @cached_property
+    def _pc(self) -> PETSc.PC:
+        """For those who keep it: it goes with this object, and its factors with it."""
+        pc = self._ksp.getPC()
+        compat.freed_with(self, pc)
+        return pc
+
     @property
     def rtol(self) -> float:
         """Reduction of the residual's norm at which it stops; 0 for a factorisation."""
@@ -220,6 +227,9 @@ class PreparedSolver:
         elif "_ksp" in vars(self):
             self._ksp.destroy()
             del self._ksp
+        if "_pc" in vars(self):
+            self._pc.destroy()
+            del self._pc
 
     def _solves(self, b: PETSc.Vec, x: PETSc.Vec, accepted: float) -> bool:
         """Whether the residual's norm is acceptable; with factors of a singular matrix it may not even fall."""
@@ -249,16 +259,15 @@ class PreparedSolver:
             ksp, operator = self._ksp, self._operator()
             if self.recipe.ksp is not None:
                 _hand_over(ksp, operator)
-            pc = ksp.getPC()
             with self._table_of_options():
                 if self.recipe.ksp is None:
-                    pc.setReusePreconditioner(False)
-                pc.setUp()
-                pc.setUpOnBlocks()
+                    self._pc.setReusePreconditioner(False)
+                self._pc.setUp()
+                self._pc.setUpOnBlocks()
         except PETSc.Error as error:
             self._discard()
             raise SolveError(f"{self.recipe.name}: no preconditioner (PETSc: {error})") from None
-        return pc
+        return self._pc
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.
