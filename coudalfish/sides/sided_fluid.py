@@ -46,8 +46,11 @@ class FluidSides(Protocol):
     def is_divided(self, cells: IntArray) -> Any:
         """Mask of those of some cells that are divided."""
 
-    def level(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
-        """Values of phi at points of cells, shape (n,)."""
+    def nearest_divided(self, x: FloatArray, reach: float) -> IntArray:
+        """Divided cells whose middles are nearest to points, -1 where none is in reach, shape (n,)."""
+
+    def barycentric(self, cells: IntArray, x: FloatArray) -> FloatArray:
+        """Barycentric coordinates of points in cells, or of points nearby, shape (n, d + 1)."""
 
     def side(self, cells: IntArray, barycentric: FloatArray) -> FloatArray:
         """Sides on which they lie, shape (n,)."""

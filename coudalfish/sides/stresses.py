@@ -12,10 +12,10 @@ from mpi4py import MPI
 
 from coudalfish.surface.exchange import tractions
 from tigar_x import checks
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 
-BEYOND = 1e-3
-"""How far beyond the surface, in sizes of the cells, a side is looked for that the cell of a point does not have."""
+NEAR = 2.0
+"""Distance, in sizes of the cells, up to which a divided cell tells what is on the side that a point's cell lacks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,26 +67,26 @@ def side_stresses(fsi: Any) -> SideStresses:
         )
     x, n, d = shell.positions(), shell.normals(), fsi.spline_sh.nsd
     n = n / np.linalg.norm(n, axis=1, keepdims=True)  # at nodes they are means
-    values = np.zeros((len(x), 2, 1 + d))
+    at, values = fsi.locator.locate(x), np.zeros((len(x), 2, 1 + d))
+    mine = np.flatnonzero(at.owned)
     for i, s in enumerate((-1.0, 1.0)):  # the surface's sides are positive behind the shell
-        at = fsi.locator.locate(x - s * _beyond(fsi, x, s)[:, None] * n)
-        mine = np.flatnonzero(at.owned)
-        where = at.cells[mine], at.barycentric[mine]
+        where = _cells_of_side(fsi, at.cells[mine], at.barycentric[mine], x[mine], s)
         grad = sides.mean_gradient_at(*where, s)
         strain = fsi.fluid.viscosity * (grad + np.swapaxes(grad, 1, 2))
         values[mine, i, 0] = sides.at(*where, np.full(len(mine), s))[:, -1]
         values[mine, i, 1:] = np.einsum("qij,qj->qi", strain, n[mine])
-        values[~at.active, i] = np.nan if fsi.fluid.comm.rank == 0 else 0.0
+    values[~at.active] = np.nan
     total = np.asarray(fsi.fluid.comm.allreduce(values, op=MPI.SUM))
     return SideStresses(x, n, total[:, :, 0], total[:, :, 1:])
 
 
-def _beyond(fsi: Any, x: FloatArray, s: float) -> FloatArray:
-    """How far points have to move to a side for a cell that knows it (collective), shape (points,)."""
-    sides: Any = fsi.fluid.sides
-    at, gap = fsi.locator.locate(x), np.zeros(len(x))
-    mine = np.flatnonzero(at.owned)
-    where = at.cells[mine], at.barycentric[mine]
-    other = ~sides.is_divided(at.cells[mine]) & (sides.side(*where) != s)
-    gap[mine[other]] = np.abs(sides.level(*where))[other] + BEYOND * fsi.fluid.mesh_size
-    return np.asarray(fsi.fluid.comm.allreduce(gap, op=MPI.SUM))
+def _cells_of_side(
+    fsi: Any, cells: IntArray, barycentric: FloatArray, x: FloatArray, s: float
+) -> tuple[IntArray, FloatArray]:
+    """Cells that know a side of the surface at points, which lie in them or, next to a divided one, nearby."""
+    sides = fsi.fluid.sides
+    near = sides.nearest_divided(x, NEAR * fsi.fluid.mesh_size)
+    other = ~sides.is_divided(cells) & (sides.side(cells, barycentric) != s) & (near >= 0)
+    cells, barycentric = np.where(other, near, cells), barycentric.copy()
+    barycentric[other] = sides.barycentric(cells[other], x[other])
+    return cells, barycentric

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
+from scipy.spatial import cKDTree
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
@@ -49,6 +50,19 @@ class SidedValues:
         inner = np.einsum("ndk,nk->nd", self._slopes(cells), x - corners[:, 0])
         inner[:, 0] += 1.0
         return inner
+
+    def nearest_divided(self, x: FloatArray, reach: float) -> IntArray:
+        """Divided cells of this rank or of ghosts whose middles are nearest to points, -1 where none is in reach.
+
+        Args:
+            x: points, shape (n, d); unit: length.
+            reach: largest distance of a middle; unit: length.
+        """
+        cells = np.flatnonzero(self._doubled.cells)
+        if not len(cells):
+            return np.full(len(x), -1)
+        distance, nearest = cKDTree(self._corners[cells].mean(axis=1)).query(x)
+        return np.where(distance <= reach, cells[nearest], -1)
 
     def _slopes(self, cells: IntArray) -> FloatArray:
         """Gradients of the barycentric coordinates, shape (n, d + 1, d)."""
