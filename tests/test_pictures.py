@@ -147,12 +147,15 @@ def test_a_history_names_its_quantities_units_and_levels(tmp_path, saved):
         tmp_path / "histories.png",
         over_time(history, "q", y=("flow rate", "cm³/s"), time="s", over="t_alpha", levels={"limit": 0.4}, ylim=(0, 2)),
         over_time(history, {"before the valve": "p_1"}, y=("pressure", "dyn/cm²"), time="s", yscale="log"),
-        over_time(history, "q", y=("flow rate", "l/h"), time="s", points={"measured": ([0.5], [0.3])}),
+        over_time(
+            history, "q", y=("flow rate", "l/h"), time="s", points={"measured": ([0.5], [0.3]), "known": ([0.1], [0.3])}
+        ),
     )
     axes = saved[0].axes
     assert [one.get_xlabel() for one in axes] == ["$t$ [s]"] * 3
     assert [one.get_ylabel() for one in axes] == ["flow rate [cm³/s]", "pressure [dyn/cm²]", "flow rate [l/h]"]
-    assert {"limit", "before the valve", "measured"} <= set(texts(saved[0]))
+    assert {"limit", "before the valve", "measured", "known"} <= set(texts(saved[0]))
+    assert len({line.get_marker() for line in axes[2].lines}) == 3
     np.testing.assert_array_equal(axes[0].lines[0].get_xdata(), t - 0.1)
     assert axes[0].get_ylim() == (0.0, 2.0)
     assert axes[1].get_yscale() == "log"

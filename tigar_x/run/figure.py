@@ -11,6 +11,7 @@ matplotlib is loaded when something is drawn, without pyplot: no window system i
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from math import lcm
 from pathlib import Path
 from typing import Any, Protocol
@@ -28,6 +29,7 @@ LABEL = re.compile(r"\S.* \[.+\]", re.DOTALL)
 """What the label of an axis looks like."""
 SCALE = "scale"
 """Mark (gid of matplotlib) of a text that gives the scale of axes without ticks."""
+MARKS = ".+x^"
 DASHES = ("--", ":", "-.", (0, (1, 3)))
 
 
@@ -202,10 +204,11 @@ def over_time(
         y: what they show, and in which unit.
         time: unit of the times.
         over: column of the times.
-        points: times and values by name, such as published ones.
+        points: times and values by name, such as published ones; each has a mark of its own.
         more: see :func:`lines`.
     """
     named = {"": columns} if isinstance(columns, str) else columns
     courses = {name: (history[over], history[column]) for name, column in named.items()}
-    styles = {name: {"fmt": "k.", "markersize": 7} for name in points or {}} | dict(more.pop("styles", {}))
+    marks = {name: {"fmt": f"k{mark}", "markersize": 7} for name, mark in zip(points or {}, cycle(MARKS), strict=False)}
+    styles = marks | dict(more.pop("styles", {}))
     return lines(courses | dict(points or {}), x=("$t$", time), y=y, styles=styles, **more)
