@@ -7,7 +7,7 @@ from dolfinx import mesh
 
 from coudalfish.surface.cut_cells import CutCells, SideWeights
 from coudalfish.surface.distance import Curves
-from coudalfish.surface.enriched import Enriching
+from coudalfish.surface.enriched import Enriching, agreeing
 from tigar_x import compat
 
 COMM = MPI.COMM_WORLD
@@ -176,7 +176,7 @@ def test_small_gaps_between_free_ends_are_closed_and_wide_ones_open(gap, closed)
     assert not (parts.kink & ~whole.kink).any()
 
 
-@pytest.mark.parametrize("distance", [0.2, 0.27, 0.35])
+@pytest.mark.parametrize("distance", [0.2, 0.26, 0.35])
 def test_nothing_is_cut_half_way_between_two_curves(distance):
     """Between curves whose normals agree the sign of the nearest one changes."""
     low, high = (polyline([[-0.1, y], [1.1, y]]) for y in (0.33, 0.33 + distance))
@@ -184,3 +184,66 @@ def test_nothing_is_cut_half_way_between_two_curves(distance):
     found = e(several(low, high))
     cells = np.sort(np.concatenate([e(curve).cut.cells for curve in (low, high)]))
     np.testing.assert_array_equal(found.cut.cells, cells)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "ends",
+    [
+        [[(0.53, -0.1), (0.53, 0.46)], [(0.53, 0.52), (0.53, 1.1)]],
+        [[(0.43, -0.1), (0.43, 0.46)], [(0.47, -0.1), (0.47, 0.46)]],
+        [[(0.43, -0.1), (0.43, 0.46)], [(0.57, -0.1), (0.57, 0.46)]],
+        [[(0.23, -0.1), (0.23, 0.46)], [(0.41, -0.1), (0.41, 0.46)], [(0.62, 1.1), (0.62, 0.6)]],
+    ],
+    ids=["tips", "in one cell", "a cell apart", "three"],
+)
+def test_which_way_curves_are_parametrised_does_not_matter(ends):
+    e, found = enriching(10), []
+    for turned in np.ndindex(*[2] * len(ends)):
+        found.append(e(several(*(polyline(pair[:: 1 - 2 * k]) for pair, k in zip(ends, turned, strict=True)))))
+        for name in ("jump", "kink"):
+            np.testing.assert_array_equal(getattr(found[-1], name), getattr(found[0], name))
+        np.testing.assert_array_equal(found[-1].cut.cells, found[0].cut.cells)
+        np.testing.assert_allclose(np.abs(found[-1].phi), np.abs(found[0].phi), rtol=1e-12)
+    assert COMM.allreduce(int(found[0].jump.sum()), op=MPI.SUM) > 4
+    near = np.isfinite(found[0].phi)
+    assert np.array_equal(found[-1].phi[near] < 0.0, found[0].phi[near] >= 0.0)  # the first curve keeps its normals
+
+
+def test_two_curves_in_one_cell_divide_it_as_one():
+    """With normals that point at each other both far sides would be one."""
+    ends = [(0.43, -0.1), (0.43, 1.1)], [(0.47, 1.1), (0.47, -0.1)]
+    one, pair = enriching(10)(polyline(ends[0])), enriching(10)(several(*map(polyline, ends)))
+    np.testing.assert_array_equal(pair.kink, one.kink)
+    near = np.isfinite(one.phi)
+    np.testing.assert_array_equal(np.sign(pair.phi[near]), np.sign(one.phi[near]))
+
+
+def test_signs_follow_the_strongest_wishes():
+    np.testing.assert_array_equal(agreeing(np.zeros((3, 3))), 1.0)
+    wishes = np.array([[0.0, -3.0, 1.0], [-3.0, 0.0, 5.0], [1.0, 5.0, 0.0]])
+    np.testing.assert_array_equal(agreeing(wishes), [1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(agreeing(wishes[::-1, ::-1]), [1.0, 1.0, -1.0])
+
+
+@pytest.mark.mpi
+def test_nothing_is_divided_beyond_a_free_end():
+    """Sides are known far beyond it, so that cells are cut that no curve covers."""
+    e = enriching(20)
+    found = e(polyline([[0.71, 0.52], [0.93, 0.55]]))
+    x = e.x[found.jump | found.kink, 0]
+    assert COMM.allreduce(float(x.min(initial=1.0)), op=MPI.MIN) > 0.71 - 2.0 * 0.05
+    assert COMM.allreduce(float(x.max(initial=0.0)), op=MPI.MAX) < 0.93 + 2.0 * 0.05
+    assert COMM.allreduce(len(x)) > 5
+
+
+def test_lines_that_cross_a_curve_or_its_continuation():
+    curve = polyline([[0.1, 0.1], [0.5, 0.5], [0.9, 0.1]])
+    start = np.array([[0.0, 0.3], [0.0, 0.2], [0.5, 0.6], [0.5, 0.6], [0.95, 0.0], [0.4, 0.9], [0.05, 0.0]])
+    end = np.array([[0.3, 0.0], [0.05, 0.1], [0.5, 0.4], [0.5, 0.51], [0.95, 1.0], [0.6, 0.9], [0.05, 0.06]])
+    near = [True, False, True, False, False, False, False]
+    np.testing.assert_array_equal(curve.crossed(start, end, 1e-9), near)
+    np.testing.assert_array_equal(curve.crossed(start, end, 0.1), [*near[:4], True, False, True])
+    assert curve.crossed(start[:0], end[:0], 0.1).shape == (0,)
+    loop = polyline([[0.1, 0.1], [0.5, 0.5], [0.9, 0.1]], closed=True)
+    np.testing.assert_array_equal(loop.crossed(start, end, 0.1), near)

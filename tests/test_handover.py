@@ -12,6 +12,7 @@ from test_solids import beam_flow
 
 from coudalfish import FluidSubproblem, ShellSubproblem, SurfaceBand
 from coudalfish.sides.handover import check_band
+from coudalfish.sides.sided_fluid import SidedFluid
 from tigar_x.fem.linear import direct, gmres_ilu
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -127,6 +128,16 @@ def test_a_band_whose_scales_were_not_given_to_the_flow():
     flow = open_flow()
     with pytest.raises(ValueError, match=r"^band is given, and the residual has neither of its scales"):
         handed_over(flow, band=SurfaceBand(flow.mesh.domain))
+
+
+def test_forgotten_sides_are_asked_for():
+    """Without them a flow whose fields differ on both sides of a surface would know nothing of it."""
+    with pytest.raises(ValueError, match=r"^sides are not those of the flow.*CouDALFISh\(flow, shell\)$"):
+        handed_over(open_flow(immersed="jump and kink"))
+    mesh = square()
+    first, other = (open_flow(mesh=mesh, immersed="jump and kink") for _ in "ab")
+    with pytest.raises(ValueError, match=r"^sides are not those of the flow"):
+        SidedFluid(mesh.domain, first.residual, first.time, bcs=first.bcs, updates=first.updates, sides=other.sides)
 
 
 def test_a_forgotten_motion_is_asked_for():

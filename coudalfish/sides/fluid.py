@@ -104,7 +104,8 @@ class FluidSubproblem:
         check_residual(residual_f, timeInt_f, mesh_f)
         check_band(residual_f, band)
         given: Any = {"updates": updates, "before": before, "rank_one": rank_one, "bcs": bcs}
-        check_needs(timeInt_f, band=band, moving=moving, solver=solver, density=density, viscosity=viscosity, **given)
+        parts: Any = {"band": band, "sides": self.sides, "moving": moving, "solver": solver}
+        check_needs(timeInt_f, **parts, density=density, viscosity=viscosity, **given)
         components = [compat.component_space(V, i) for i in range(d)]
         self.velocity_space = components[0][0]
         self.velocity_dofs = np.column_stack([dofs for _, dofs in components])
@@ -219,9 +220,13 @@ class FluidSubproblem:
     def norm(self, vector: PETSc.Vec, impedance: float) -> float:
         """Norm of a residual-like vector in units of force (collective)."""
         array = vector.array_r
-        weights = self._is_velocity + impedance**2 * (1.0 - self._is_velocity)
+        weights = self.as_forces(impedance**2)
         square = np.einsum("i,i,i->", weights, array, array)
         return float(np.sqrt(self.comm.allreduce(float(square), op=MPI.SUM)))
+
+    def as_forces(self, impedance: float) -> FloatArray:
+        """Factors of the rows of a vector of the system: one of momentum, an impedance of continuity."""
+        return np.asarray(self._is_velocity + impedance * (1.0 - self._is_velocity))
 
     def coupling_norm(self, trace: TraceMatrix, forces: FloatArray) -> float:
         """Norm of point forces on the fluid's nodes (collective; a node of two ranks counts in parts); unit: force."""

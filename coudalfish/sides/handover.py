@@ -133,6 +133,7 @@ def check_needs(
     before: Sequence[Callable[[], None]],
     rank_one: Sequence[RankOne],
     band: SurfaceBand | None,
+    sides: Any,
     moving: MovingMesh | None,
     solver: LinearSolver | PETSc.KSP | None,
     density: float | None,
@@ -147,6 +148,7 @@ def check_needs(
         before: see there.
         rank_one: see there.
         band: see there.
+        sides: see there.
         moving: see there.
         solver: see there.
         density: see there.
@@ -168,6 +170,11 @@ def check_needs(
             raise ValueError(f"{name} leaves out those of the flow: {name}=flow.{name} is required for {why}")
     if needs.scales is not None and (band is None or band.scale_m is not needs.scales[0]):
         raise ValueError("band is not that of the flow: band=SurfaceBand(mesh, flow.scales) is required")
+    if sides is not needs.sides:
+        raise ValueError(
+            "sides are not those of the flow, whose fields differ on both sides of a surface: the flow itself is"
+            " required, CouDALFISh(flow, shell)"
+        )
     if moving is not needs.moving:
         found = "None" if moving is None else "another one than the flow's"
         raise ValueError(f"moving is {found}: moving=flow.moving is required, which the residual is pulled back by")

@@ -1,6 +1,7 @@
 """A flow whose fields differ on both sides of the surface, as the coupling sees it."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,6 +30,7 @@ class FluidSides(Protocol):
         is_kinked: whether velocities are kinked; pressures always jump.
         phi: linear function of which the surface is the zero line.
         size: linear function with its sizes at the nodes.
+        length: in which kinks measure both.
         negative: weight of the negative side in divided cells, a quadratic function in each.
         wall: the same on their facets on the boundary.
         doubled: equations of divided cells, and what is divided.
@@ -38,6 +40,7 @@ class FluidSides(Protocol):
     is_kinked: bool
     phi: fem.Function
     size: fem.Function
+    length: fem.Constant
     negative: fem.Function
     wall: fem.Function
     doubled: Doubled
@@ -96,7 +99,8 @@ class SidedFluid(FluidSubproblem):
         linear = np.empty(len(self._node), dtype=np.int64)
         linear[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(sides.phi.function_space)
         self._linear = linear
-        self._found: Enrichment | None = None
+        sides.length.value = self.mesh_size
+        self._found = Enrichment.none(len(self._node))
 
     def _make_system(self, residual: ufl.Form, bcs: Any, **options: Any) -> DoubledSystem:
         return DoubledSystem(residual, self.timeInt.x, bcs, self.sides.doubled, **options)
@@ -108,16 +112,18 @@ class SidedFluid(FluidSubproblem):
         phi = np.nan_to_num(found.phi)
         divided, (vertices, corners) = self.sides.doubled.cells, (self._enriching.vertices, self._enriching.corners)
         location = onto_zero_line(meeting.location, phi[vertices], corners, divided)
-        return KinkedMeeting.of(meeting, self.velocity_space, location, phi, found.kink)
+        return KinkedMeeting.of(meeting, self.velocity_space, location, phi / self.mesh_size, found.kink)
 
     def _divide(self, found: Enrichment) -> None:
         """Take over what the surface divides (collective)."""
         self._found, sides = found, self.sides
         phi = np.nan_to_num(found.phi)
         sides.phi.x.array[self._linear], sides.size.x.array[self._linear] = phi, np.abs(phi)
-        sides.negative.x.array[self._cells[found.cut.cells]] = self._weights(found.cut)
-        cells, values = self._walls(found.cut)
-        sides.wall.x.array[self._wall_cells[cells]] = values
+        on_walls, of_walls = self._walls(found.cut)
+        weights = sides.negative, self._cells[found.cut.cells], self._weights(found.cut)
+        for weight, dofs, values in (weights, (sides.wall, self._wall_cells[on_walls], of_walls)):
+            weight.x.array[:] = 0.0
+            weight.x.array[dofs] = values
         d, n = self.mesh.geometry.dim, len(self._node)
         second = np.zeros((n, d + 1), dtype=bool)
         kinks = found.kink[:, None] & self.free[:n]
@@ -133,15 +139,7 @@ class SidedFluid(FluidSubproblem):
 
     def remember(self) -> Callable[[], None]:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
-        found = self._found
-
-        def bring_back() -> None:
-            if found is None:
-                self.sides.doubled.join()
-            else:
-                self._divide(found)
-
-        return bring_back
+        return partial(self._divide, self._found)
 
     def assemble_residual(self, trace: TraceMatrix, forces: FloatArray, impedance: float) -> float:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""

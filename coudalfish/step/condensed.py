@@ -9,7 +9,7 @@ K and A_s the tangents of flow and shell, the latter with its part of the penalt
     [ a_f H'WT             -a_s H'WP         -eps H'WH/beta ] [dc]   [r_c]
 
 and subtracts the increments. The second row is solved for dy with the shell's factors in every product, and the third
-one is multiplied by beta, so that all rows are forces.
+one is multiplied by beta, as the flow's rows of continuity are, so that all rows are forces.
 """
 
 import weakref
@@ -227,10 +227,12 @@ class CondensedSystem:
             SolveError: GMRES failed.
         """
         at = self.at
+        self._force = at.fluid.as_forces(at.beta)
         z = at.a_s * (at.P @ at.solve_shell(r_s))
         rhs = self._rhs.array_w
         rhs[: self._n] = b_f.array_r
         self._add(at.to_nodes(at.beta * at.W * z), rhs[: self._n])
+        rhs[: self._n] *= self._force
         if self._own:
             rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.H_t @ (at.W * z)))
         norm = float(self._rhs.norm())
@@ -291,6 +293,7 @@ class CondensedSystem:
         traction = at.beta * v + pushed
         w = at.moved(at.W * traction)
         self._add(at.to_nodes(at.W * (traction - at.beta * w)) - at.free * (at.part @ a), product[: self._n])
+        product[: self._n] *= self._force
         if self._own:
             product[self._n :] = np.where(at.idle, b, at.H_t @ (at.W * (at.beta * (v - w) - WEAK * pushed)))
 
@@ -302,7 +305,7 @@ class CondensedSystem:
             self._comm.Bcast(r)
         b, forces = self.preconditioner.multiplier(r)
         rest = self.increment.array_w
-        rest[:] = given[: self._n]
+        rest[:] = given[: self._n] / self._force
         self._add(at.to_nodes(-forces), rest)
         with placed(self._result, increment[: self._n]) as result:
             self.preconditioner.fluid.apply(self.increment, result)

@@ -8,6 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from coudalfish.surface.sheets import Sheets
@@ -71,6 +73,13 @@ class Curves:
         return normals, self._sums(normals)
 
     @cached_property
+    def curve(self) -> IntArray:
+        """Number of the curve to which a segment belongs, shape (segments,)."""
+        ends, places = self.place[self.segments], self.place.max(initial=-1) + 1
+        joined = sp.coo_matrix((np.ones(len(ends)), ends.T), shape=(places, places))
+        return np.asarray(connected_components(joined, directed=False)[1][ends[:, 0]])
+
+    @cached_property
     def _middles(self) -> cKDTree:
         return cKDTree(self.x[self.segments].mean(axis=1))
 
@@ -104,6 +113,19 @@ class Curves:
             Shape (m,), not a number where a point is farther; beyond a free end the distance from the straight line
             that continues it. Unit: length.
         """
+        return self.sides(x, reach, tree)[0]
+
+    def sides(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> tuple[FloatArray, IntArray]:
+        """Signed distance from the nearest curve, and which one that is.
+
+        Args:
+            x: see :meth:`signed_distance`.
+            reach: see there.
+            tree: see there.
+
+        Returns:
+            Distances as there, and numbers of curves, -1 where a point is farther, both of shape (m,).
+        """
         near, (of_segments, of_points) = self._nearest(x, reach, tree), self._normals
         at_corner = near.corner >= 0
         normal = np.where(at_corner[:, None], of_points[near.corner], of_segments[near.segment])
@@ -111,7 +133,37 @@ class Curves:
         beyond = at_corner & self.free[near.corner]
         result = np.full(len(x), np.nan)
         result[near.point] = np.where(beyond, side, np.where(side < 0.0, -near.distance, near.distance))
+        nearest = np.full(len(x), -1)
+        nearest[near.point] = self.curve[near.segment]
+        return result, nearest
+
+    def crossed(self, start: FloatArray, end: FloatArray, reach: float) -> Any:
+        """Mask of the straight lines that cross a curve or its continuation, shape (m,).
+
+        Args:
+            start: where they begin, shape (m, 2); unit: length.
+            end: where they end.
+            reach: how far curves are continued; unit: length.
+        """
+        result = np.zeros(len(start), dtype=bool)
+        a, b = self._continued(reach)
+        if not len(start) or not len(a):
+            return result
+        longest = np.linalg.norm(end - start, axis=1).max() + np.linalg.norm(b - a, axis=1).max()
+        lines, curve = cKDTree(0.5 * (start + end)), cKDTree(0.5 * (a + b))
+        near = lines.sparse_distance_matrix(curve, 0.5 * longest, output_type="ndarray")
+        i, k = near["i"], near["j"]
+        parts = _side(start[i], end[i], a[k]) * _side(start[i], end[i], b[k])
+        parted = _side(a[k], b[k], start[i]) * _side(a[k], b[k], end[i])
+        result[i[(parts <= 0.0) & (parted <= 0.0)]] = True
         return result
+
+    def _continued(self, reach: float) -> tuple[FloatArray, FloatArray]:
+        """Starts and ends of the segments, and of those that continue them at free ends."""
+        starts, ends = self.x[self.segments].transpose(1, 0, 2)
+        arms, (first, last) = reach * self._tangents[0], self.free[self.segments].T
+        begins = starts, ends[last], starts[first] - arms[first]
+        return np.concatenate(begins), np.concatenate([ends, ends[last] + arms[last], starts[first]])
 
     def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> Any:
         """Mask of the points that are not farther than a distance from a free end, shape (m,); see above."""
@@ -132,6 +184,12 @@ class Curves:
         result = np.zeros(len(x), dtype=bool)
         result[near.point] = (near.corner < 0) | ~self.free[near.corner] | (near.distance == 0.0)
         return result
+
+
+def _side(start: FloatArray, end: FloatArray, x: FloatArray) -> FloatArray:
+    """On which side of lines points lie, by its sign."""
+    along, off = end - start, x - start
+    return np.asarray(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
 
 
 @dataclass(frozen=True, eq=False)

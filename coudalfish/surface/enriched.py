@@ -29,7 +29,7 @@ ROUNDED = 1e-9
 """Part of that share that sums in another order may lack."""
 OFF_LINE = 1.0 / 3.0
 """Distance of the zero line from the curve, relative to that of the cell's farthest node, beyond which it is another
-line: half way between two curves the sign changes as well. They are told apart when they are two cells apart."""
+line, unless a curve crosses the cell where its sign changes: half way between two curves it may change as well."""
 SAMPLES = 16
 """Places at which a piece of the zero line near a free end is asked whether the curve covers it."""
 CORRECTIONS = 2
@@ -40,6 +40,8 @@ ALONG = 1e-12
 """Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
 NEAR = 1.5
 """Distance from the curve, in sizes of the largest cell, up to which sides are known."""
+ON_LINE = 1e-12
+"""Distance, in sizes of the largest cell, within which a node lies on a curve: rounding must not decide on its side."""
 REACH = 4.0
 """The same near its free ends."""
 
@@ -63,6 +65,12 @@ class Enrichment:
 
     def __post_init__(self) -> None:
         checks.freeze(self)
+
+    @classmethod
+    def none(cls, nodes: int) -> "Enrichment":
+        """That of a mesh of some nodes without a curve."""
+        cut = CutCells(np.empty(0, dtype=np.int32), np.empty((0, 3)))
+        return cls(np.full(nodes, np.nan), cut, *np.zeros((2, nodes), dtype=bool))
 
 
 class Enriching:
@@ -100,10 +108,9 @@ class Enriching:
             curves: the curves.
             meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
         """
-        phi = curves.signed_distance(self.x, NEAR * self._largest, self._tree)
-        ends = np.flatnonzero(curves.near_ends(self.x, REACH * self._largest, self._tree))
-        phi[ends] = curves.signed_distance(self.x[ends], REACH * self._largest)
-        phi = phi if meeting is None else self._centred(phi, meeting)
+        phi = self._distances(curves)
+        if meeting is not None:
+            phi = self._on_line(self._centred(phi, meeting))
         cut = self._real(CutCells.of(self.vertices, phi), curves)
         mine = cut.only(cut.cells < self._owned)
         negative = self.vertices[mine.cells]
@@ -144,18 +151,56 @@ class Enriching:
         compat.accumulate(self._sum)
         return np.asarray(array.copy())
 
+    def _on_line(self, phi: FloatArray) -> FloatArray:
+        """Values of which those are zero that rounding alone keeps from it: 0 counts as positive on every rank."""
+        return np.where(np.abs(phi) <= ON_LINE * self._largest, 0.0, phi)
+
+    def _distances(self, curves: Curves) -> FloatArray:
+        """Signed distances of the nodes, by normals of which those of different curves agree (collective).
+
+        Half way between two curves the side changes for no reason where their normals do not, and which way they are
+        parametrised must not matter. So of every pair one is turned unless of the edges of the mesh that lead from the
+        neighbourhood of the one into that of the other most stay on one side, or have two sides where they cross a
+        curve or its continuation: two curves in one cell are as good as one. The first curve keeps its normals.
+        """
+        phi, nearest = curves.sides(self.x, NEAR * self._largest, self._tree)
+        ends = np.flatnonzero(curves.near_ends(self.x, REACH * self._largest, self._tree))
+        phi[ends], nearest[ends] = curves.sides(self.x[ends], REACH * self._largest)
+        phi = self._on_line(phi)
+        number = int(curves.curve.max(initial=-1)) + 1
+        if number < 2:
+            return phi
+        edges = self.vertices[: self._owned][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        a, b = nearest[edges].T
+        between = (a != b) & (a >= 0) & (b >= 0)
+        edges, a, b = edges[between], a[between], b[between]
+        negative = phi[edges] < 0.0
+        apart = curves.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], REACH * self._largest)
+        votes = np.zeros((number, number))
+        np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, 1.0, -1.0))
+        self._sum.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
+        turned = agreeing(votes + votes.T)
+        return np.where(nearest < 0, phi, turned[nearest] * phi)
+
     def _real(self, cut: CutCells, curves: Curves) -> CutCells:
-        """Those that a curve or its continuation cuts, not the middle line between two curves."""
+        """Those that a curve or its continuation cuts, not the middle line between two curves that are elsewhere."""
         middle = cut.line(self.corners).mean(axis=1)
         off = np.abs(curves.signed_distance(middle, OFF_LINE * NEAR * self._largest))
-        return cut.only(off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0))
+        real = off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0)
+        rest = np.flatnonzero(~real)
+        corners, negative = self.corners[cut.cells[rest]], cut.values[rest] < 0.0
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            crossed = curves.crossed(corners[:, a], corners[:, b], REACH * self._largest)
+            real[rest] |= (negative[:, a] != negative[:, b]) & crossed
+        return cut.only(real)
 
     def _covered(self, cut: CutCells, curves: Curves) -> Any:
         """Mask of the nodes in whose cells the curve covers enough of the zero line (collective)."""
         ends = cut.line(self.corners)
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        share = np.ones(len(lengths))
-        near = np.flatnonzero(curves.near_ends(ends.mean(axis=1), 2.0 * self._largest))
+        middle = ends.mean(axis=1)
+        share = curves.covers(middle, OFF_LINE * NEAR * self._largest).astype(np.float64)
+        near = np.flatnonzero(curves.near_ends(middle, 2.0 * self._largest))
         at = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
         x = ends[near, None, 0] + at * (ends[near, None, 1] - ends[near, None, 0])
         covered = curves.covers(x.reshape(-1, x.shape[2]), REACH * self._largest)
@@ -163,3 +208,24 @@ class Enriching:
         whole = self._total(cut.cells, np.repeat(lengths[:, None], 3, axis=1))
         found = self._total(cut.cells, np.repeat((lengths * share)[:, None], 3, axis=1))
         return found >= COVERED * (1.0 - ROUNDED) * whole
+
+
+def agreeing(votes: FloatArray) -> FloatArray:
+    """Signs of things of which each pair wants to have the same one or not, by the strongest wishes first.
+
+    Args:
+        votes: symmetric matrix, positive where two want the same sign and negative where they do not.
+
+    Returns:
+        1 or -1 for each; of those that are connected the first one has 1.
+    """
+    signs, group = np.ones(len(votes)), np.arange(len(votes))
+    a, b = np.triu_indices(len(votes), 1)
+    for k in np.argsort(-np.abs(votes[a, b]), kind="stable"):
+        i, j, vote = a[k], b[k], votes[a[k], b[k]]
+        if vote != 0.0 and group[i] != group[j]:
+            other = group == group[j]
+            signs[other] *= signs[i] * signs[j] * np.sign(vote)
+            group[other] = group[i]
+    first = np.unique(group, return_index=True)
+    return np.asarray(signs * signs[first[1]][np.searchsorted(first[0], group)])

@@ -42,7 +42,7 @@ class KinkedMeeting:
             plain: the meeting of the surface where it is.
             space: scalar linear space of one component of the velocity.
             location: its places, on the zero line in divided cells.
-            phi: signed distance at the nodes, of any value where none is near, shape (nodes,).
+            phi: signed distance at the nodes over the length of kinks, of any value where none is near, shape (nodes,).
             kink: mask of the nodes that have one, shape (nodes,).
         """
         (_, w), fine = plain.penalty, trace_matrix(space, location)

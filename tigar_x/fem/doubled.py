@@ -129,8 +129,11 @@ class DoubledSystem(FiniteElementSystem):
         A.setSizes(((rows * m, None), (rows * m, None)))
         A.setType(self.recipe.matrix)
         A.setBlockSize(m)
-        per_row = widths if self.recipe.matrix == "baij" else np.repeat(m * widths, m)
-        A.setPreallocationNNZ((per_row, per_row if comm.size > 1 else 0 * per_row))
+        others = comm.allreduce(rows, op=MPI.SUM) - rows
+        own, off = np.minimum(widths, rows), np.minimum(widths, others)
+        if self.recipe.matrix != "baij":
+            own, off = np.repeat(m * own, m), np.repeat(m * off, m)
+        A.setPreallocationNNZ((own, off))
         names_map = PETSc.LGMap().create(names, bsize=m, comm=comm)
         A.setLGMap(names_map, names_map)
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)

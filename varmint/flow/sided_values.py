@@ -17,6 +17,7 @@ class SidedValues:
 
     Args:
         phi: linear function of which the surface is the zero line.
+        length: in which kinks measure phi.
         doubled: what is divided.
         function: velocity and pressure at the end of the step.
 
@@ -24,7 +25,8 @@ class SidedValues:
         function: as given.
     """
 
-    def __init__(self, phi: fem.Function, doubled: Doubled, function: fem.Function) -> None:
+    def __init__(self, phi: fem.Function, length: fem.Constant, doubled: Doubled, function: fem.Function) -> None:
+        self._length = length
         self.function, self._phi, self._doubled, self._both = function, phi, doubled, doubled.joined[0][2]
         self._d = function.function_space.mesh.geometry.dim
         spaces = (f.function_space for f in (function, self._both, phi))
@@ -71,13 +73,14 @@ class SidedValues:
         return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
 
     def _nodal(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Means and differences of both sides at the nodes of cells, (velocity, pressure) and (kink, jump)."""
+        """Means and differences at the nodes of cells, (velocity, pressure) and (kink over length, jump)."""
         self._doubled.join(last=True)
         m = self._d + 1
         mean, more = self.function.x.array.reshape(-1, m)[self._nodes[cells]], np.zeros((len(cells), m, m))
         there = self.is_divided(cells)
         both = self._both.x.array.reshape(-1, 2 * m)[self._of_both[cells[there]]]
         mean[there], more[there] = both[..., :m], both[..., m:]
+        more[..., :-1] /= float(self._length.value)
         return mean, more
 
     def at(self, cells: IntArray, barycentric: FloatArray, s: FloatArray | float | None) -> FloatArray:

@@ -46,6 +46,7 @@ class FlowSides(SidedValues):
         is_kinked: whether velocities are kinked; pressures always jump.
         phi: linear function of which the surface is the zero line.
         size: linear function with its sizes at the nodes.
+        length: Constant, in which kinks measure both; 1 until whoever knows the surface sets it. Unit: length.
         negative: weight of the negative side in divided cells, a polynomial in each.
         wall: the same on their facets on the boundary.
         given: force that the surface gives to the nodes, into the rows of the unknown, this rank's share.
@@ -61,6 +62,7 @@ class FlowSides(SidedValues):
         weights, walls = (compat.lagrange_space(domain, k, discontinuous=True) for k in (DEGREE[kind], WALL_DEGREE))
         self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
         self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(walls, name="wall_negative")
+        self.length = compat.Constant(domain, 1.0)
         self._both = fem.Function(compat.lagrange_space(domain, 1, 2 * (d + 1)), name="both")
         both = TimeIntegrator(self._both, time.step_size, time.scheme, algebraic=(d, 2 * d + 1))
         joined = (
@@ -74,15 +76,18 @@ class FlowSides(SidedValues):
         terms += self._boundary(state, conditions, both)
         self.terms = [(groups, ufl.replace(term, clock)) for groups, term in terms]
         self.doubled = Doubled(sum((term for _, term in self.terms[1:]), self.terms[0][1]), joined, d)
-        super().__init__(self.phi, self.doubled, state.w)
+        super().__init__(self.phi, self.length, self.doubled, state.w)
 
     def fields(self, s: float) -> tuple[Any, Any]:
         """Velocity and pressure on a side of divided cells at the end of the step, UFL, once they have been joined."""
-        return Sides(self.phi, self.size, self.negative).fields(self._parts(self._both), s)
+        return self._sides(self.negative).fields(self._parts(self._both), s)
 
     def weight(self, s: float) -> Any:
         """Weight of a side in divided cells, UFL."""
-        return Sides(self.phi, self.size, self.negative).weight(s)
+        return self._sides(self.negative).weight(s)
+
+    def _sides(self, negative: fem.Function) -> Sides:
+        return Sides(self.phi, self.size, negative, self.length)
 
     def side_by_side(self, form: ufl.Form) -> ufl.Form:
         """A form of velocity and pressure at the end of the step, ``flow.w``, side by side in divided cells.
@@ -103,7 +108,7 @@ class FlowSides(SidedValues):
                     f"form has an integral of type {kind}: integrals over cells or the boundary are required"
                 )
             weight, degree = (self.negative, self._degree) if kind == "cell" else (self.wall, 2 * WALL_DEGREE)
-            sides, finer = Sides(self.phi, self.size, weight), dict(integral.metadata())
+            sides, finer = self._sides(weight), dict(integral.metadata())
             finer["quadrature_degree"] = max(finer.get("quadrature_degree", degree), degree)
             for s in SIGNS:
                 v, p = sides.fields(self._parts(self._both), s)
@@ -172,12 +177,12 @@ class FlowSides(SidedValues):
         for name in ("v_t", "memory", "scale_m", "scale_c", "motion"):
             del known[name]
         return sided_residual(
-            Sides(self.phi, self.size, self.negative), self._parts(both.x_alpha), self._tests, (u_t, a_t),
+            self._sides(self.negative), self._parts(both.x_alpha), self._tests, (u_t, a_t),
             state.mesh.domain, dx=state.mesh.dx(degree=self._degree), **known,
         )  # fmt: skip
 
     def _boundary(self, state: FlowState, conditions: Sequence[Condition], both: TimeIntegrator) -> list[Term]:
-        sides, terms = Sides(self.phi, self.size, self.wall), []
+        sides, terms = self._sides(self.wall), []
         of_sides = [(sides.fields(self._parts(both.x_alpha), s), sides.fields(self._tests, s), s) for s in SIGNS]
         for condition in conditions:
             total = ufl.Form([])

@@ -1,8 +1,9 @@
 """Fields that differ on both sides of a line or surface that passes through cells, and the equations there.
 
 The two sides are those of a nodal function phi, s = -1 where it is negative and s = 1 elsewhere. A pressure is
-``p = p_mean + s/2 j``: it jumps by j. A velocity is ``v = u + psi a`` with ``psi = sum_i N_i |phi_i| - s phi``: it is
-continuous, psi vanishes at the nodes, and the slope along grad phi falls by 2 |grad phi| a where phi is zero.
+``p = p_mean + s/2 j``: it jumps by j. A velocity is ``v = u + psi a`` with ``psi = (sum_i N_i |phi_i| - s phi)/l``:
+it is continuous, psi vanishes at the nodes, and the slope along grad phi falls by 2 |grad phi| a/l where phi is zero.
+With a length l of the size of cells a is a velocity, so that norms of a system are the same in all units.
 The equations are written once for every side, with its sign as a number and a weight that integrates over it. Who knows
 the surface sets phi and the weight.
 """
@@ -27,11 +28,13 @@ class Sides:
         size: linear function with the values |phi| at the nodes.
         negative: weight of the negative side in a cell, a polynomial of the degree that it integrates exactly; the
             positive side has the rest.
+        length: l, a number or Constant; unit: that of phi.
     """
 
     phi: Any
     size: Any
     negative: Any
+    length: Any = 1.0
 
     def weight(self, s: float) -> Any:
         """Weight of a side."""
@@ -45,7 +48,7 @@ class Sides:
             a: kink, same shape; None: there is none.
             s: side.
         """
-        return u if a is None else u + (self.size - s * self.phi) * a
+        return u if a is None else u + (self.size - s * self.phi) / self.length * a
 
     @staticmethod
     def pressure(p: Any, j: Any, s: float) -> Any:
@@ -84,7 +87,8 @@ def sided_residual(
     """Residual in cells that are divided: Galerkin terms, SUPG, PSPG and grad-div on either side.
 
     Cross stress and Reynolds stress are left out, with which impulsive starts fail. Kinks in cells of which one side is
-    small are as good as free, and are therefore smoothed by ``smoothing mu h^2 grad a : grad b`` over whole cells.
+    small are as good as free, and are therefore smoothed by ``smoothing mu (h/l)^2 grad a : grad b`` over whole
+    cells.
 
     Args:
         sides: the sides.
@@ -112,4 +116,5 @@ def sided_residual(
         return residual
     d = domain.geometry.dim
     h_squared = (ufl.CellVolume(domain) * (2 if d == 2 else 6)) ** (2 / d)
-    return residual + smoothing * mu * h_squared * ufl.inner(ufl.grad(a), ufl.grad(b)) * dx
+    slopes = ufl.inner(ufl.grad(a), ufl.grad(b))
+    return residual + smoothing * mu * h_squared / sides.length**2 * slopes * dx
