@@ -69,6 +69,27 @@ def test_files_have_pieces_of_cells_with_the_pressure_of_their_side(swept, path)
     assert (fields["velocity"][:, 2] == 0.0).all()
 
 
+def test_files_with_a_mesh_for_every_time_open_in_vtk(path):
+    vtk = pytest.importorskip("vtk", reason="the library of ParaView")
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    flow, fsi = membrane("jump and kink", level=1)
+    with movie(flow, path)() as series:
+        for t in range(3):
+            fsi.takeStep()
+            series.write(float(t))
+    WORLD.barrier()
+    reader = vtk.vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    for t in range(3):
+        reader.UpdateTimeStep(float(t))
+        grid = reader.GetOutputDataObject(0)
+        triangles = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, 3)
+        x, p = vtk_to_numpy(grid.GetPoints().GetData()), vtk_to_numpy(grid.GetPointData().GetArray("pressure"))
+        assert_sharp(x, triangles, p)
+
+
 def test_every_time_has_the_pieces_of_its_own_cells(path):
     flow, fsi = membrane("jump and kink", level=1)
     with movie(flow, path)() as series:
