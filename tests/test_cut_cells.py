@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import ufl
 from mpi4py import MPI
-from dolfinx import mesh
+from dolfinx import fem, mesh
 
 from coudalfish.surface.cut_cells import CutCells, SideWeights
 from coudalfish.surface.distance import Curves
 from coudalfish.surface.enriched import Enriching, agreeing
+from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 
 COMM = MPI.COMM_WORLD
@@ -75,6 +77,32 @@ def test_weights_integrate_over_the_side(values, degree):
             side = at_corner if negative_alone else integral(f, vertices) - at_corner
             np.testing.assert_allclose(w @ (c * f(*x.T)), side, atol=2e-15)
     np.testing.assert_allclose(cut.negative_share, 2.0 * (w @ c), atol=1e-14)
+
+
+@pytest.mark.parametrize("degree", [2, 4])
+def test_weights_on_the_boundary_integrate_over_its_part(degree):
+    """Polynomials of their degree exactly: a penalty of products of kinks is then not negative."""
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 4, 4)
+    space, linear = compat.lagrange_space(domain, degree, discontinuous=True), compat.lagrange_space(domain, 1)
+    x = linear.tabulate_dof_coordinates()
+    cut = CutCells.of(compat.cell_dofs(linear), x[:, 0] + 0.2 * x[:, 1] - 0.2502)  # close to a vertex at the bottom
+    cells, values = WallWeights(domain, degree, compat.node_points(space))(cut)
+    weight = fem.Function(space)
+    weight.x.array[compat.cell_dofs(space)[cells]] = values
+    X = ufl.SpatialCoordinate(domain)
+    ds = ufl.ds(domain=domain, metadata={"quadrature_degree": 2 * degree})
+    for power in range(degree + 1):
+        bottom = ufl.conditional(ufl.And(ufl.lt(X[1], 1e-9), ufl.gt(X[0], 0.25)), 1.0, 0.0)
+        form = compat.compile_forms(weight * bottom * (X[0] - 0.25) ** power * ds)[0]
+        assert compat.assemble_scalar(form) == pytest.approx(2e-4 ** (power + 1) / (power + 1), abs=1e-16)
+
+
+def test_values_at_nearest_places_go_on_beyond_free_ends():
+    curve = several(polyline([[0.0, 0.0], [1.0, 0.0]]))
+    turning = np.column_stack([np.zeros(len(curve.x)), 2.0 * curve.x[:, 0]])
+    x = np.array([[0.25, 0.1], [1.0, -0.1], [1.2, 0.1], [-0.1, 0.0], [0.5, 2.0]])
+    expected = [[0.0, 0.5], [0.0, 2.0], [0.0, 2.4], [0.0, -0.2], [0.0, 0.0]]
+    np.testing.assert_allclose(curve.at_nearest(x, turning, 1.0), expected, atol=1e-14)
 
 
 def test_zero_counts_as_positive_and_what_is_unknown_is_not_cut():

@@ -103,6 +103,33 @@ def test_a_field_that_bends_at_the_line_is_in_the_space(s):
     assert compat.assemble_scalar(compat.compile_forms((bent - exact) ** 2 * scene.dx)[0]) < 1e-28
 
 
+@pytest.mark.parametrize("s", [-1.0, 1.0])
+def test_a_kink_moves_with_the_line(s):
+    """The rate at a fixed place is that of psi a, also with a kink that stays the same."""
+    scene, v, step = Scene(), np.array([0.3, -0.2]), 1e-3
+    scene.u.x.array[:] = np.random.default_rng(3).normal(size=len(scene.u.x.array))
+    _, _, a, _ = scene.parts(scene.u)
+    of_vectors = compat.lagrange_space(scene.mesh, 1, 2)
+    carried = fem.Function(of_vectors), fem.Function(of_vectors)
+    nodes, phi = np.empty(len(scene.phi.x.array), dtype=np.int64), scene.phi.x.array.copy()
+    nodes[compat.cell_dofs(scene.phi.function_space)] = compat.cell_dofs(of_vectors)
+    for f, sign in zip(carried, (np.ones(len(phi)), np.sign(phi)), strict=True):
+        f.x.array.reshape(-1, 2)[nodes] = sign[:, None] * v
+    sides = Sides(scene.phi, scene.size, scene.negative, carried=carried)
+    before = Sides(*(fem.Function(scene.phi.function_space) for _ in range(2)), scene.negative)
+    before.phi.x.array[:] = phi + step * v @ LINE[0]
+    before.size.x.array[:] = np.abs(before.phi.x.array)
+    assert (np.sign(before.phi.x.array) == np.sign(phi)).all()
+    at_rest = ufl.as_vector([0.0, 0.0])
+    rate = sides.rate(at_rest, at_rest, a, s)
+    expected = (sides.velocity(at_rest, a, s) - before.velocity(at_rest, a, s)) / step
+    e = rate - expected
+    forms = compat.compile_forms(ufl.inner(e, e) * scene.dx, ufl.inner(expected, expected) * scene.dx)
+    error, size = map(compat.assemble_scalar, forms)
+    assert error < 1e-18 * size
+    assert size > 1e-2
+
+
 def test_smoothing_sees_kinks_alone_and_only_where_they_vary():
     scene = Scene()
     difference = compat.compile_forms(scene.residual(smoothing=0.1) - scene.residual(smoothing=0.0))[0]

@@ -13,9 +13,9 @@ pytestmark = pytest.mark.mpi
 SIDES = ("left", "right", "bottom", "top")
 
 
-def membrane(immersed, level=2, cells=None, **options):
+def membrane(immersed, level=2, cells=None, data=None, **options):
     """The manufactured problem before its first step, with another number of cells along a side than the level's."""
-    data = problem.ProblemData()
+    data = data or problem.ProblemData()
     cells = cells or problem.cells_per_side(level)
     low, high, _ = problem.fluid_box(data, 2, level)
     mesh = box(MPI.COMM_WORLD, low, high, (cells, cells))
@@ -34,13 +34,16 @@ def membrane(immersed, level=2, cells=None, **options):
     return flow, CouDALFISh(flow, shell, CouplingOptions.sharp(**options), multiplier=data.DP)
 
 
-def test_the_membrane_has_the_errors_of_fields_that_jump_and_bend():
-    _, fsi = membrane("jump and kink")
+@pytest.mark.parametrize(("mu", "passes"), [(0.1, 1), (1e-3, 2)])
+def test_the_membrane_has_the_errors_of_fields_that_jump_and_bend(mu, passes):
+    """Also where inertia rules, which shows kinks that stay behind and penalties at walls that are negative."""
+    data = problem.ProblemData(mu=mu)
+    _, fsi = membrane("jump and kink", data=data)
     reports = [fsi.takeStep() for _ in range(24)]
-    assert max(report.passes for report in reports) == 1
+    assert max(report.passes for report in reports) == passes
     assert max(abs(report.monitors.leak) for report in reports) < 5e-5
-    found = problem.errors(fsi, problem.ProblemData(), fsi.timeInt_f.time, 2)
-    for name, limit in {"L2_u": 1.9e-3, "H1_u": 0.112, "L2_p": 1.1e-2, "L2_y": 1.25e-4}.items():
+    found = problem.errors(fsi, data, fsi.timeInt_f.time, 2)
+    for name, limit in {"L2_u": 1.9e-3, "H1_u": 0.12, "L2_p": 1.1e-2, "L2_y": 1.25e-4}.items():
         assert 0.5 * limit < found[name] < limit, (name, found)
 
 

@@ -135,13 +135,16 @@ class FluidSubproblem:
         parts += [word for word, part in (("band", self.band), ("moving mesh", self.moving)) if part is not None]
         return f"FluidSubproblem({', '.join(parts)})"
 
-    def place(self, meeting: Meeting, sheets: Sheets, x: FloatArray, *, scale_m: float, scale_c: float) -> Meeting:
+    def place(
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, *, scale_m: float, scale_c: float
+    ) -> Meeting:
         """Prepare the flow for a surface that has been placed in it (collective).
 
         Args:
             meeting: where it meets the fluid.
             sheets: how its points hang together.
             x: their positions, shape (points, d); unit: length.
+            v: their velocities, same shape; unit: length/time.
             scale_m: factor of tau_M near the surface.
             scale_c: divisor of tau_C there.
 

@@ -33,6 +33,7 @@ class FluidSides(Protocol):
         length: in which kinks measure both.
         negative: weight of the negative side in divided cells, a quadratic function in each.
         wall: the same on their facets on the boundary.
+        carried: velocities of the surface at the nodes, and the same times the signs of phi there; empty without kinks.
         doubled: equations of divided cells, and what is divided.
         given: force that the surface gives to the nodes, into the rows of the unknown, this rank's share.
     """
@@ -43,6 +44,7 @@ class FluidSides(Protocol):
     length: fem.Constant
     negative: fem.Function
     wall: fem.Function
+    carried: tuple[fem.Function, ...]
     doubled: Doubled
     given: FloatArray
 
@@ -94,20 +96,23 @@ class SidedFluid(FluidSubproblem):
         points = compat.node_points(space)
         self._weights = SideWeights(compat.lagrange_degree(space), points)
         on_walls = sides.wall.function_space
-        self._walls, self._wall_cells = WallWeights(self.mesh, compat.node_points(on_walls)), compat.cell_dofs(on_walls)
+        self._walls = WallWeights(self.mesh, compat.lagrange_degree(on_walls), compat.node_points(on_walls))
+        self._wall_cells = compat.cell_dofs(on_walls)
         self._cells = compat.cell_dofs(space)
-        linear = np.empty(len(self._node), dtype=np.int64)
-        linear[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(sides.phi.function_space)
-        self._linear = linear
+        self._linear, self._blocks = np.empty((2, len(self._node)), dtype=np.int64)
+        for f, numbers in ((sides.phi, self._linear), *((f, self._blocks) for f in sides.carried[:1])):
+            numbers[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(f.function_space)
         sides.length.value = self.mesh_size
         self._found = Enrichment.none(len(self._node))
 
     def _make_system(self, residual: ufl.Form, bcs: Any, **options: Any) -> DoubledSystem:
         return DoubledSystem(residual, self.timeInt.x, bcs, self.sides.doubled, **options)
 
-    def place(self, meeting: Meeting, sheets: Sheets, x: FloatArray, *, scale_m: float, scale_c: float) -> Meeting:
+    def place(
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, *, scale_m: float, scale_c: float
+    ) -> Meeting:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""
-        found = self._enriching(Curves.of(sheets, x), meeting)
+        found = self._enriching(Curves.of(sheets, x), meeting, v if self.sides.is_kinked else None)
         self._divide(found)
         phi = np.nan_to_num(found.phi)
         divided, (vertices, corners) = self.sides.doubled.cells, (self._enriching.vertices, self._enriching.corners)
@@ -125,6 +130,9 @@ class SidedFluid(FluidSubproblem):
             weight.x.array[:] = 0.0
             weight.x.array[dofs] = values
         d, n = self.mesh.geometry.dim, len(self._node)
+        v = np.zeros((n, d)) if found.velocity is None else found.velocity
+        for f, values in zip(sides.carried, (v, np.where(phi < 0.0, -1.0, 1.0)[:, None] * v), strict=False):
+            f.x.array.reshape(-1, d)[self._blocks] = values
         second = np.zeros((n, d + 1), dtype=bool)
         kinks = found.kink[:, None] & self.free[:n]
         second[self._node, :d], second[self._node, d] = kinks, found.jump

@@ -142,11 +142,11 @@ class Step:
 
     def _place(self) -> None:
         """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
-        x = ranks.first(self.comm, self.shell.positions())
+        x, v = (ranks.first(self.comm, f()) for f in (self.shell.positions, self.shell.velocity))
         if not np.isfinite(x).all():
             raise RejectedStepError("shell", "the predicted positions are not finite")
         scales = {"scale_m": self.options.scale_m, "scale_c": self.options.scale_c}
-        meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, **scales)
+        meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, v, **scales)
         self.meeting = meeting
         self.inactive, self.W, self.trace = int((~meeting.active).sum()), meeting.W, meeting.trace
         self.n = self.shell.normals()

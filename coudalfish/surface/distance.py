@@ -165,6 +165,26 @@ class Curves:
         begins = starts, ends[last], starts[first] - arms[first]
         return np.concatenate(begins), np.concatenate([ends, ends[last] + arms[last], starts[first]])
 
+    def at_nearest(self, x: FloatArray, values: FloatArray, reach: float) -> FloatArray:
+        """Values at the nearest places of the curves, and of what continues them behind free ends.
+
+        Args:
+            x: points, shape (m, d); unit: length.
+            values: at the points of the curves, linear between them, shape (points, k).
+            reach: farther points get none; unit: length.
+
+        Returns:
+            Shape (m, k), zero where a point is farther.
+        """
+        near, (tangents, lengths) = self._nearest(x, reach), self._tangents
+        first, last = self.segments[near.segment].T
+        along = ((x[near.point] - self.x[first]) * tangents[near.segment]).sum(axis=1) / lengths[near.segment]
+        beyond = (near.corner >= 0) & self.free[near.corner]
+        along = np.where(beyond, along, np.clip(along, 0.0, 1.0))[:, None]
+        result = np.zeros((len(x), values.shape[1]))
+        result[near.point] = (1.0 - along) * values[first] + along * values[last]
+        return result
+
     def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> Any:
         """Mask of the points that are not farther than a distance from a free end, shape (m,); see above."""
         result, ends = np.zeros(len(x), dtype=bool), self.x[self.free]

@@ -56,12 +56,15 @@ class Enrichment:
         cut: cells in which one of the nodes is enriched, ghosts as well.
         jump: mask of the nodes at which the pressure jumps, shape (nodes,).
         kink: mask of the nodes at which the velocity is kinked, shape (nodes,).
+        velocity: that of the curve at the nodes of cut cells, zero at others, shape (nodes, d); unit: length/time;
+            None: it rests.
     """
 
     phi: FloatArray
     cut: CutCells
     jump: Any
     kink: Any
+    velocity: FloatArray | None = None
 
     def __post_init__(self) -> None:
         checks.freeze(self)
@@ -101,12 +104,13 @@ class Enriching:
         compat.accumulate(self._sum)
         return np.asarray(array.copy())
 
-    def __call__(self, curves: Curves, meeting: Meeting | None = None) -> Enrichment:
+    def __call__(self, curves: Curves, meeting: Meeting | None = None, v: FloatArray | None = None) -> Enrichment:
         """By curves where they are (collective).
 
         Args:
             curves: the curves.
             meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
+            v: velocities of their points, shape (points, d); unit: length/time. None: they rest.
         """
         phi = self._distances(curves)
         if meeting is not None:
@@ -124,7 +128,14 @@ class Enriching:
             bent = np.repeat(mine.smaller_share[:, None] > SLIVER, 3, axis=1)
             kink = (self._total(mine.cells, bent.astype(np.float64)) > 0.0) & covered
         concerned = (jump | kink)[self.vertices[cut.cells]].any(axis=1)
-        return Enrichment(phi, cut.only(concerned), jump, kink)
+        cut = cut.only(concerned)
+        return Enrichment(phi, cut, jump, kink, None if v is None else self._velocity(cut, curves, v))
+
+    def _velocity(self, cut: CutCells, curves: Curves, v: FloatArray) -> FloatArray:
+        """Velocities of curves at the nodes of cut cells."""
+        velocity, nodes = np.zeros(self.x.shape), np.unique(self.vertices[cut.cells])
+        velocity[nodes] = curves.at_nearest(self.x[nodes], v, REACH * self._largest)
+        return velocity
 
     def _centred(self, phi: FloatArray, meeting: Meeting) -> FloatArray:
         """Values with a zero line from which the curve departs to both sides alike (collective).

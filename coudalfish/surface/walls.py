@@ -9,20 +9,23 @@ from tigar_x.compat import FloatArray, IntArray
 
 EDGES = ((1, 2), (0, 2), (0, 1))
 """Vertices of the sides of a triangle."""
+ON_EDGE = 1e-9
+"""Barycentric coordinate below which a node is on a side."""
 
 
 class WallWeights:
     """Weights of the negative side on the sides of cut triangles that are on the boundary.
 
-    On every side they are the projection of the indicator on quadratic functions of it, in the mean square. Where two
-    sides of a triangle meet they have the mean of both there.
+    On every side they are the projection of the indicator on polynomials of it, in the mean square. Where two sides of
+    a triangle meet they have the mean of both there.
 
     Args:
         domain: mesh of triangles.
-        points: reference coordinates of the nodes of a quadratic element, shape (6, 2).
+        degree: of the polynomials.
+        points: reference coordinates of the nodes of an element of this degree, shape (nodes, 2).
     """
 
-    def __init__(self, domain: mesh.Mesh, points: FloatArray) -> None:
+    def __init__(self, domain: mesh.Mesh, degree: int, points: FloatArray) -> None:
         vertices = compat.connectivity(domain, 2, 0).array.reshape(-1, 3)
         of_facets, cells_of = compat.connectivity(domain, 1, 0), compat.connectivity(domain, 1, 2)
         facets = compat.exterior_facets(domain)
@@ -32,35 +35,34 @@ class WallWeights:
         self._on_wall = np.zeros((len(vertices), 3), dtype=bool)
         self._on_wall[cells, (~inside).argmax(axis=1)] = True
         places = np.column_stack([1.0 - points.sum(axis=1), points])
-        corner = np.eye(3)
-        middles = [np.mean([corner[a], corner[b]], axis=0) for a, b in EDGES]
-        self._nodes: list[IntArray] = [
-            np.array([int(np.linalg.norm(places - place, axis=1).argmin()) for place in (corner[a], middle, corner[b])])
-            for (a, b), middle in zip(EDGES, middles, strict=True)
-        ]
+        self._nodes = [np.flatnonzero(np.abs(places[:, k]) < ON_EDGE) for k in range(3)]
+        self._along = [places[nodes, b] for nodes, (_, b) in zip(self._nodes, EDGES, strict=True)]
+        self._powers, self._count = np.arange(degree + 1), len(points)
 
     def __call__(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
-        """Those cut cells that have a side on the boundary, and values at their nodes, shape (found, 6)."""
+        """Those cut cells that have a side on the boundary, and values at their nodes, shape (found, nodes)."""
         on_wall = self._on_wall[cut.cells]
         found = np.flatnonzero(on_wall.any(axis=1))
-        sums, counts = np.zeros((len(found), 6)), np.zeros((len(found), 6))
+        sums, counts = np.zeros((2, len(found), self._count))
         for k, (a, b) in enumerate(EDGES):
             here = np.flatnonzero(on_wall[found, k])
             values = cut.values[found[here]]
             places = np.ix_(here, self._nodes[k])
-            sums[places] += _negative(values[:, a], values[:, b])
+            sums[places] += self._negative(values[:, a], values[:, b], self._along[k])
             counts[places] += 1.0
         return cut.cells[found], sums / np.maximum(counts, 1.0)
 
+    def _negative(self, a: FloatArray, b: FloatArray, at: FloatArray) -> FloatArray:
+        """Projections of where a linear function is negative, which is a at 0 and b at 1, shape (lines, len(at))."""
+        gap = np.where(a == b, 1.0, a - b)
+        t = np.where((a < 0.0) == (b < 0.0), 1.0, np.clip(a / gap, 0.0, 1.0))
+        n, sums = self._powers, self._powers + self._powers[:, None]
+        mass, whole = self._integral(np.ones(1), sums.ravel()).reshape(sums.shape), self._integral(np.ones(1), n)
+        moments = self._integral(t, n)
+        moments = np.where((a < 0.0)[:, None], moments, whole - moments)
+        return np.asarray(moments @ np.linalg.solve(mass, ((at - 0.5) ** n[:, None])))
 
-def _negative(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Projections of where a linear function is negative, at start, middle and end of its line, shape (lines, 3)."""
-    gap = np.where(a == b, 1.0, a - b)
-    t = np.clip(np.where(a == b, 1.0, a / gap), 0.0, 1.0)
-    t = np.where((a < 0.0) == (b < 0.0), 1.0, t)
-    # integrals from 0 to t of the quadratic functions that are one at 0, 1/2 and 1
-    ends = np.column_stack([t - 1.5 * t**2 + 2 / 3 * t**3, 2 * t**2 - 4 / 3 * t**3, 2 / 3 * t**3 - 0.5 * t**2])
-    whole = np.array([1.0, 4.0, 1.0]) / 6.0
-    moments = np.where((a < 0.0)[:, None], ends, whole - ends)
-    mass = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]]) / 30.0
-    return np.asarray(np.linalg.solve(mass, moments.T).T)
+    @staticmethod
+    def _integral(t: FloatArray, powers: IntArray) -> FloatArray:
+        """Of powers of the distance from 1/2, from 0 to t, shape (len(t), len(powers))."""
+        return np.asarray(((t[:, None] - 0.5) ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1))

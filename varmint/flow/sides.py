@@ -27,10 +27,9 @@ from varmint.forms.space import split
 
 DEGREE = {"jump": 2, "jump and kink": 4}
 """What may differ on both sides, and the degree of the polynomials that weights of sides integrate exactly: that of the
-product of two kinks, whose mass is not positive otherwise, so that small steps diverge."""
+product of two kinks, whose mass and penalty at walls are not positive otherwise, so that small steps diverge, and walls
+at which a surface ends."""
 KINDS = tuple(DEGREE)
-WALL_DEGREE = 2
-"""The same on the boundary."""
 
 
 class FlowSides(SidedValues):
@@ -49,6 +48,7 @@ class FlowSides(SidedValues):
         length: Constant, in which kinks measure both; 1 until whoever knows the surface sets it. Unit: length.
         negative: weight of the negative side in divided cells, a polynomial in each.
         wall: the same on their facets on the boundary.
+        carried: velocities of the surface at the nodes, and the same times the signs of phi there; empty without kinks.
         given: force that the surface gives to the nodes, into the rows of the unknown, this rank's share.
         terms: of the residual of divided cells, with the facet groups of their conditions or "fluid".
         doubled: equations of divided cells, and what is divided.
@@ -59,10 +59,13 @@ class FlowSides(SidedValues):
         self._state = state
         d, self.is_kinked = domain.geometry.dim, kind == KINDS[1]
         self._degree, linear = 2 * DEGREE[kind], compat.lagrange_space(domain, 1)
-        weights, walls = (compat.lagrange_space(domain, k, discontinuous=True) for k in (DEGREE[kind], WALL_DEGREE))
+        weights = compat.lagrange_space(domain, DEGREE[kind], discontinuous=True)
         self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
-        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(walls, name="wall_negative")
+        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(weights, name="wall_negative")
         self.length = compat.Constant(domain, 1.0)
+        of_vectors = compat.lagrange_space(domain, 1, d)
+        names = ("phi_velocity", "phi_velocity_signed") if self.is_kinked else ()
+        self.carried = tuple(fem.Function(of_vectors, name=name) for name in names)
         self._both = fem.Function(compat.lagrange_space(domain, 1, 2 * (d + 1)), name="both")
         both = TimeIntegrator(self._both, time.step_size, time.scheme, algebraic=(d, 2 * d + 1))
         joined = (
@@ -87,14 +90,14 @@ class FlowSides(SidedValues):
         return self._sides(self.negative).weight(s)
 
     def _sides(self, negative: fem.Function) -> Sides:
-        return Sides(self.phi, self.size, negative, self.length)
+        return Sides(self.phi, self.size, negative, self.length, cast(Any, self.carried) or None)
 
     def side_by_side(self, form: ufl.Form) -> ufl.Form:
         """A form of velocity and pressure at the end of the step, ``flow.w``, side by side in divided cells.
 
         Args:
             form: integrals over cells and over facets of the boundary; of no higher degree in divided cells than
-                ``DEGREE`` for an exact result, on facets ``WALL_DEGREE``.
+                ``DEGREE`` for an exact result.
 
         Raises:
             ValueError: it has other integrals.
@@ -107,9 +110,9 @@ class FlowSides(SidedValues):
                 raise ValueError(
                     f"form has an integral of type {kind}: integrals over cells or the boundary are required"
                 )
-            weight, degree = (self.negative, self._degree) if kind == "cell" else (self.wall, 2 * WALL_DEGREE)
+            weight = self.negative if kind == "cell" else self.wall
             sides, finer = self._sides(weight), dict(integral.metadata())
-            finer["quadrature_degree"] = max(finer.get("quadrature_degree", degree), degree)
+            finer["quadrature_degree"] = max(finer.get("quadrature_degree", 0), self._degree)
             for s in SIGNS:
                 v, p = sides.fields(self._parts(self._both), s)
                 side = ufl.replace(integral.integrand(), {w: ufl.as_vector([*v, p])})
@@ -187,7 +190,7 @@ class FlowSides(SidedValues):
         for condition in conditions:
             total = ufl.Form([])
             for (v, p), (w, q), s in of_sides:
-                term = condition.term(replace(state.fields, v=v, p=p, w=w, q=q, degree=2 * WALL_DEGREE))
+                term = condition.term(replace(state.fields, v=v, p=p, w=w, q=q, degree=self._degree))
                 if term is not None:
                     total += weighted(term, sides.weight(s))
             if not total.empty():

@@ -3,6 +3,7 @@
 The two sides are those of a nodal function phi, s = -1 where it is negative and s = 1 elsewhere. A pressure is
 ``p = p_mean + s/2 j``: it jumps by j. A velocity is ``v = u + psi a`` with ``psi = (sum_i N_i |phi_i| - s phi)/l``:
 it is continuous, psi vanishes at the nodes, and the slope along grad phi falls by 2 |grad phi| a/l where phi is zero.
+Where that line moves psi changes, and the rate ``u_t + psi a_t + psi_t a`` of v at a fixed place jumps across it.
 With a length l of the size of cells a is a velocity, so that norms of a system are the same in all units.
 The equations are written once for every side, with its sign as a number and a weight that integrates over it. Who knows
 the surface sets phi and the weight.
@@ -29,12 +30,15 @@ class Sides:
         negative: weight of the negative side in a cell, a polynomial of the degree that it integrates exactly; the
             positive side has the rest.
         length: l, a number or Constant; unit: that of phi.
+        carried: velocities with which phi is carried along at the nodes, and the same times the signs of phi there, two
+            linear functions; None: phi stays.
     """
 
     phi: Any
     size: Any
     negative: Any
     length: Any = 1.0
+    carried: tuple[Any, Any] | None = None
 
     def weight(self, s: float) -> Any:
         """Weight of a side."""
@@ -49,6 +53,21 @@ class Sides:
             s: side.
         """
         return u if a is None else u + (self.size - s * self.phi) / self.length * a
+
+    def rate(self, u_t: Any, a_t: Any, a: Any, s: float) -> Any:
+        """Rate of the velocity on a side at a fixed place.
+
+        Args:
+            u_t: rate of u, shape (d,).
+            a_t: rate of the kink, same shape; None: there is none.
+            a: kink, likewise.
+            s: side.
+        """
+        rate = self.velocity(u_t, a_t, s)
+        if a is None or self.carried is None:
+            return rate
+        v, signed = self.carried
+        return rate - ufl.dot(signed - s * v, ufl.grad(self.phi)) / self.length * a
 
     @staticmethod
     def pressure(p: Any, j: Any, s: float) -> Any:
@@ -109,7 +128,7 @@ def sided_residual(
     residual = ufl.Form([])
     for s in SIGNS:
         fields = *sides.fields((u, p, a, j), s), *sides.fields((w, q, b, k), s)
-        rate = sides.velocity(u_t, a_t, s)
+        rate = sides.rate(u_t, a_t, a, s)
         side = interior_residual(*fields, domain, rho=rho, mu=mu, v_t=rate, dx=dx, stresses=False, **known)
         residual += weighted(side, sides.weight(s))
     if a is None:
