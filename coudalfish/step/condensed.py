@@ -204,7 +204,7 @@ class CondensedSystem:
         pc.setType("python")
         pc.setPythonContext(_Triangle(self))
         vectors = (self._flow, self.increment, self._given, self._result, self._rhs, self._x)
-        compat.freed_with(self, *vectors, self._A, self._ksp)
+        compat.freed_with(self, *vectors, pc, self._ksp, self._A)
         self.iterations = 0
 
     def solve(
