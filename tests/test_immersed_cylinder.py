@@ -62,7 +62,7 @@ def test_nothing_gets_through_a_closed_curve_with_a_converged_multiplier(steady)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"preset": "finest"}, "preset = 'finest': one of 'default', 'reference', 'converged' is required"),
+        ({"preset": "finest"}, "preset = 'finest': one of 'default', 'reference', 'converged', 'sharp' is required"),
         ({"diagonal": "up"}, "diagonal = 'up': one of 'right', 'left' is required"),
         ({"cells": 5}, "cells = 5: an integer >= 6 is required"),
         ({"dt": 0.0}, "dt = 0.0"),
