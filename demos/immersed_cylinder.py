@@ -6,7 +6,7 @@ The cylinder is a shell that does not move, with fluid inside. Time steps lead f
 
 With the force F of the fluid on the shell per unit depth, the coefficients of drag and lift are 2 F/(rho U^2 D). dp is
 the difference of pressure over rho U^2 between the foremost and the rearmost point of the cylinder, extrapolated from
-one and two cells away. The pressure inside has a constant of its own, which forces do not notice (docs/benchmarks.md).
+one and two cells away. The pressure inside has a constant of its own, which forces hardly notice: docs/benchmarks.md.
 
 Source: the steady benchmark of Schaefer and Turek, with the values of John and Matthies, doi:10.1002/fld.195.
 """
