@@ -110,6 +110,18 @@ def test_a_step_that_is_halved_leaves_nothing_of_the_long_one():
     assert_same(everything(whole.fsi), everything(halves.fsi), 1e-9)  # times are rounded
 
 
+def test_divided_cells_remember_no_sub_scales():
+    """Those of the plain fields mean nothing there: they would be what a cell begins with that is whole again."""
+    s = channel(FLAP, subscales="dynamic")
+    for _ in range(2):
+        steps(s, 1)
+        time, divided = s.flow.time, s.flow.sides.doubled.cells
+        for f in (time.fine, time.fine_rate):
+            values = np.abs(f.x.array.reshape(len(divided), -1)[compat.cell_dofs(f.function_space)[:, 0]]).max(axis=1)
+            assert values[divided].max(initial=0.0) == 0.0
+            assert COMM.allreduce(float(values[~divided].max()), op=MPI.MAX) > 1e-3
+
+
 # -- units and ranks --------------------------------------------------------------------------------------------------
 
 

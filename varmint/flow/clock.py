@@ -60,3 +60,6 @@ class FlowTime(TimeIntegrator):
         """Take the present x as the state that the first step starts from, at rest before."""
         self.x_old.x.array[:] = self.x.x.array
         self.xdot_old.x.array[:] = 0.0
+
+    def forget_in(self, cells: Any) -> None:
+        """Leave nothing of what is remembered of single cells, a mask of shape (cells,); there is nothing."""

@@ -50,6 +50,7 @@ class SidedTime(FlowTime):
         rate[:] = there * (s.a0 / self.step_size * (new - old) + s.a1 * rate)
         old[:] = new
         super().advance()
+        self.forget_in(self.needs.sides.doubled.cells)  # where sub-scales follow from fields that are not those there
 
     def forget(self) -> None:
         """Take the present x as the state that the first step starts from, at rest before and the same on all sides."""

@@ -85,6 +85,11 @@ class DynamicTime(FlowTime):
         for function in (self.fine, self.fine_rate):
             function.x.array[:] = 0.0
 
+    def forget_in(self, cells: Any) -> None:
+        """Leave nothing of the sub-scales of some cells, a mask of shape (cells,)."""
+        for function in (self.fine, self.fine_rate):
+            function.x.array.reshape(-1, self._width)[self._rows[cells]] = 0.0
+
     @property
     def state(self) -> dict[str, fem.Function]:
         """The last accepted state by name, that of the sub-scales as well."""
