@@ -235,6 +235,7 @@ class CondensedSystem:
         rhs[: self._n] *= self._force
         if self._own:
             rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.H_t @ (at.W * z)))
+        del rhs  # PETSc keeps norms of vectors that nobody writes to
         norm = float(self._rhs.norm())
         if norm == 0.0:
             self.increment.set(0.0)
