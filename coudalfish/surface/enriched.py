@@ -40,10 +40,10 @@ ALONG = 1e-12
 """Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
 NEAR = 1.5
 """Distance from the curve, in sizes of the largest cell, up to which sides are known."""
-ON_LINE = 1e-12
-"""Distance, in sizes of the largest cell, within which a node lies on a curve: rounding must not decide on its side."""
 REACH = 4.0
 """The same near its free ends."""
+ON_LINE = 1e-12
+"""Distance, in sizes of the largest cell, within which a node lies on a curve: rounding must not decide on its side."""
 
 
 @dataclass(frozen=True, eq=False)
