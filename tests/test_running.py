@@ -617,9 +617,7 @@ def test_single_options_are_changed_by_name():
     )
     assert CouplingOptions.steady() == CouplingOptions(relaxation=0.2, relaxation_mode="smoothed")
     assert CouplingOptions.steady(relaxation=0.5).relaxation == 0.5
-    with pytest.raises(
-        TypeError, match="relaxtion is no option of the coupling: one of penalty, multiplier, .*, relaxation,"
-    ):
+    with pytest.raises(TypeError, match="relaxtion is no option of the coupling: one of penalty, multiplier,"):
         options.with_(relaxtion=0.5)
     with pytest.raises(ValueError, match="relaxation = -1"):
         CouplingOptions.reference(relaxation=-1.0)
