@@ -16,6 +16,9 @@ from coudalfish.surface.sheets import Sheets
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
+SAME_DISTANCE = 1e-12
+"""Difference of distances, relative to what they are sought within, that rounding makes: the first segment counts."""
+
 
 @dataclass(frozen=True, eq=False)
 class Curves:
@@ -94,7 +97,7 @@ class Curves:
         along = np.clip((arms * tangents[k]).sum(axis=1), 0.0, lengths[k])
         gap = arms - along[:, None] * tangents[k]
         distance = np.linalg.norm(gap, axis=1)
-        order = np.lexsort((distance, i))
+        order = np.lexsort((k, np.rint(distance / (SAME_DISTANCE * radius)), i))
         best = order[np.unique(i[order], return_index=True)[1]]
         best = best[distance[best] <= reach]
         i, k, along = i[best], k[best], along[best]
