@@ -76,7 +76,6 @@ class DoubledSystem(FiniteElementSystem):
                 cells.
             side: -1 or 1 for every node, shape (nodes,).
         """
-        self._side = side
         shape = (cells, second)
         same = self._shape is not None and all(map(np.array_equal, shape, self._shape))
         if not self._comm.allreduce(same, op=MPI.LAND):
@@ -163,7 +162,6 @@ class DoubledSystem(FiniteElementSystem):
         names_map = PETSc.LGMap().create(names, bsize=size, comm=MPI.COMM_SELF)
         A.setLGMap(names_map, names_map)
         compat.freed_with(owner, A)
-        self._pattern = pattern
         return A
 
     # -- fields -------------------------------------------------------------------------------------------------------
@@ -231,7 +229,7 @@ class DoubledSystem(FiniteElementSystem):
         both = both.reshape(-1, 2 * m)[self._node_of_z[at]]
         first.reshape(-1, m)[at] += both[:, :m]
         second.reshape(-1, m)[at] += both[:, m:]
-        second.reshape(-1, m)[at, p] -= 0.5 * self._side[at] * both[:, p]
+        second.reshape(-1, m)[at, p] -= 0.5 * self._doubled.side[at] * both[:, p]
         if load is not None:
             load(array)
         self.from_local(array, self.b)
@@ -278,7 +276,7 @@ class DoubledSystem(FiniteElementSystem):
         K.sort_indices()
         i, j = np.repeat(np.arange(len(at)), np.diff(K.indptr)), K.indices
         V = K.data
-        half = 0.5 * self._side[at]
+        half = 0.5 * self._doubled.side[at]
         V[:, :, m + p] -= half[j, None] * V[:, :, p]
         V[:, m + p, :] -= half[i, None] * V[:, p, :]
         free = np.hstack([self._free[at], self.second[at]])
