@@ -35,15 +35,39 @@ def test_a_converged_multiplier_gives_the_frequency_at_fifty_steps_a_period(mass
     assert late < 0.9
 
 
-def test_the_force_on_a_heavy_piston_is_that_of_the_added_mass_from_the_second_step_on():
-    """Within a percent, with a small scale_c; with the default one 1.3 percent off. The lagged one has hardly begun."""
+@pytest.mark.mpi
+def test_the_force_on_a_heavy_piston_is_that_of_the_added_mass_from_the_first_step_on():
+    """With fields that jump, within .35 percent, which are the scheme's, at any mass; with others 5 percent are off in
+    the first step, and a lagged multiplier has hardly begun."""
+    for mass_ratio in (100.0, 1.0):
+        _, force = swung(12, mass_ratio=mass_ratio, preset="sharp")
+        np.testing.assert_allclose(force, 1.0, rtol=4e-3)
     heavy = {"mass_ratio": 100.0, "preset": "converged"}
-    _, force = swung(12, {"scale_c": 1e-3}, **heavy)
-    np.testing.assert_allclose(force[1:], 1.0, rtol=0.01)
-    _, wider = swung(4, **heavy)
-    assert 0.01 < np.abs(wider[1:] - 1.0).max() < 0.02
+    _, plain = swung(4, **heavy)
+    assert 0.04 < np.abs(plain - 1.0).max() < 0.06
+    assert 0.01 < np.abs(plain[1:] - 1.0).max() < 0.02
+    _, narrow = swung(4, {"scale_c": 1e-3}, **heavy)
+    np.testing.assert_allclose(narrow[1:], 1.0, rtol=0.01)
     _, late = swung(4, mass_ratio=100.0, preset="default")
     assert late.max() < 0.15
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("mass_ratio", [100.0, 1.0, 1e-4])
+def test_a_piston_at_five_steps_a_period_is_as_late_as_the_scheme_whatever_its_mass(mass_ratio):
+    """No step is a hard one, and fields that jump do not change the frequency."""
+    found = {}
+    for preset in ("converged", "sharp"):
+        _, plate, fsi = DEMO.Piston(mass_ratio, 5, preset=preset).build()
+        y = []
+        for _ in range(12):
+            report = fsi.takeStep()
+            assert report.attempts == 1
+            assert report.passes <= 3
+            y.append(plate.at("u0").displacement[0])
+        found[preset] = frequency(np.array(y), 5)
+    assert found["sharp"] == pytest.approx(found["converged"], rel=1e-3)
+    assert found["sharp"] == pytest.approx(0.88, abs=0.02)
 
 
 @pytest.mark.mpi
@@ -61,3 +85,4 @@ def test_presets_are_those_of_the_coupling():
     assert made["reference"] == CouplingOptions.reference()
     assert made["default"] == CouplingOptions()
     assert made["converged"] == CouplingOptions.converged()
+    assert made["sharp"] == CouplingOptions.sharp()
