@@ -619,7 +619,7 @@ def leak(value: tuple[float, float]) -> tuple[Reports, Observed]:
     """Value: r, jump."""
     r, load = value
     beta = 5.0 * load**0.5
-    options = CouplingOptions(scale_c=1e-3, penalty=beta, relaxation=r)
+    options = CouplingOptions(scale_c=1e-3, penalty=beta, relaxation=r, relaxation_mode="uniform")
     steps = {0.1: 110, 1e-2: 380}.get(r, 1500)
     scene = duct(options, dt=0.01 / load**0.5, jump=0.0, bow=0.1)
     reports, observed, _ = through_duct(scene, steps, jump=load, ramp=60)
@@ -635,7 +635,7 @@ def leak(value: tuple[float, float]) -> tuple[Reports, Observed]:
 def impulsive(what: str) -> tuple[Reports, Observed]:
     valve = {"E": 1e7, "thickness": 0.04, "rho_s": 1.0} | ({"rho_s": 1e-6} if what == "light" else {})
     valve |= {"E": 1e4} if what == "limp" else {}
-    published = CouplingOptions(penalty=500.0, relaxation=1e-5, scale_c=1e-3)
+    published = CouplingOptions(penalty=500.0, relaxation=1e-5, relaxation_mode="uniform", scale_c=1e-3)
     options = CouplingOptions(scale_c=1e-3) if what == "default penalty" else published
     dt = 5e-5 * (20.0 if what == "dt x 20" else 1.0)
     scene = duct(options, mu=0.03, dt=dt, jump=0.0, flexible=True, degree=2, **valve)
@@ -766,7 +766,7 @@ def long_run(value: tuple[int, str, float]) -> tuple[Reports, Observed]:
     """A duct under a steady jump: in the second half of the run, with the springs at rest, nothing should change."""
     steps, form, r = value
     shape: dict[str, Any] = {"arc": {"bow": 0.1}, "elastic": {"flexible": True, "prestress": 10.0}}.get(form, {})
-    scene = duct(CouplingOptions(penalty=50.0, relaxation=r), n=4, jump=0.0, **shape)
+    scene = duct(CouplingOptions(penalty=50.0, relaxation=r, relaxation_mode="uniform"), n=4, jump=0.0, **shape)
     fsi, W = scene.fsi, scene.fsi.shell.quadrature.weights
     reports, *_ = through_duct(scene, 100, ramp=60)
     reports = long_advance(fsi, steps // 2 - 100)

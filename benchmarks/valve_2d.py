@@ -31,7 +31,7 @@ from tigar_x.run.summary import table
 
 DEFAULT = CouplingOptions()
 REFERENCE = replace(CouplingOptions.reference(), block_rtol=1e-2)
-SMOOTHED = replace(DEFAULT, relaxation=0.5, relaxation_mode="smoothed")
+SMOOTHED = replace(DEFAULT, relaxation=0.5)
 TIGHT = replace(DEFAULT, penalty=PenaltyRule(2.0, 2.0), block_rtol=0.1)
 COLUMNS = (
     *("study", "setting", "dim", "elements", "mirrored", "dt_factor", "steps", "passes_mean", "passes_max", "linear"),
@@ -167,8 +167,8 @@ def options_studies(elements: int) -> dict[str, list[Case]]:
         "scale_c": varied("scale_c", (1.0, 0.1, 0.01, 0.001), lambda s: replace(d, scale_c=s)),
         "scale_m": varied("scale_m", (1.0, 0.1, 0.01, 0.0001), lambda s: replace(d, scale_m=s)),
         "relaxation": [
-            *varied("r", (1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r)),
-            *varied("smoothed r", (0.1, 0.5, 2.0), lambda r: replace(d, relaxation=r, relaxation_mode="smoothed")),
+            *varied("uniform r", (0.0, 1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r, relaxation_mode="uniform")),
+            *varied("smoothed r", (0.1, 0.5, 2.0), lambda r: replace(d, relaxation=r)),
         ],
         "block_rtol": [
             *varied("block_rtol", (1e-1, 1e-3), lambda r: replace(d, block_rtol=r)),
@@ -215,8 +215,8 @@ def sides_study(elements: Iterable[int], factors: Iterable[float]) -> list[Case]
     chosen, factors = list(elements), list(factors)
     settings = {
         "default": (DEFAULT, "default"),
-        "smoothed, r = 0.2": (CouplingOptions.steady(), "default"),
-        "smoothed, r = 0.5": (SMOOTHED, "default"),
+        "not relaxed": (replace(DEFAULT, relaxation=0.0), "default"),
+        "r = 0.5": (SMOOTHED, "default"),
         "converged": (CouplingOptions.converged(), "default"),
         "sharp": (CouplingOptions.sharp(), "sharp"),
     }

@@ -109,7 +109,7 @@ class Valve:
         material = data.leaflet if self.material == "svk" else pericardium
         leaflets = Shell(geometry, material, **structure, quadrature_degree=4)
         published = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2)
-        chosen = published if self.preset == "reference" else CouplingOptions.steady()
+        chosen = published if self.preset == "reference" else CouplingOptions()
         return flow, leaflets, CouDALFISh(flow, leaflets, chosen if options is None else options)
 
 

@@ -51,7 +51,7 @@ class Valve:
         leaflet_elements: Bezier elements of each leaflet.
         degree: of the leaflets, at least 2.
         preset: the published coupling, this library's defaults, or fields with two sides of leaflets, in the plane.
-        smoothing: relaxation of the multiplier towards its means over vertices, about 0.5; 0: none.
+        smoothing: relaxation of a lagged multiplier towards its means over vertices; 0: none; default: the preset's.
         steps_per_element: the published time step is 3 over this times the elements.
         dt_factor: time step relative to the published one.
         mirrored: whether the cells below the channel's axis mirror those above, for an even number of elements;
@@ -64,7 +64,7 @@ class Valve:
     leaflet_elements: int = 16
     degree: int = 2
     preset: Literal["reference", "default", "sharp"] = "default"
-    smoothing: float = 0.0
+    smoothing: float | None = None
     steps_per_element: int = 32
     dt_factor: float = 1.0
     mirrored: bool | None = None
@@ -73,7 +73,7 @@ class Valve:
     def __post_init__(self) -> None:
         for name, least in (("elements", 1), ("leaflet_elements", 2), ("degree", 2), ("steps_per_element", 1)):
             checks.whole(name, getattr(self, name), least)
-        checks.not_negative("smoothing", self.smoothing)
+        checks.not_negative("smoothing", self.smoothing or 0.0)
         checks.positive("dt_factor", self.dt_factor)
         if self.mirrored is None:
             object.__setattr__(self, "mirrored", self.preset != "reference" and self.elements % 2 == 0)
@@ -101,7 +101,7 @@ class Valve:
         known = {"rho": RHO, "mu": MU, "dt": dt, "scheme": generalized_alpha(rho_inf), "immersed": immersed}
         flow = Flow(mesh, sides, **known, options=FlowOptions(invariant_metric=self.invariant_metric, solver=solver))
         presets = {"reference": CouplingOptions.reference(block_rtol=1e-2), "sharp": CouplingOptions.sharp()}
-        smoothed = {"relaxation": self.smoothing, "relaxation_mode": "smoothed"} if self.smoothing else {}
+        smoothed = {} if self.smoothing is None else {"relaxation": self.smoothing, "relaxation_mode": "smoothed"}
         how = options or presets.get(self.preset, CouplingOptions()).with_(**smoothed)
         leaflets = self.leaflets(material, depth)
         return flow, leaflets, CouDALFISh(fluid_side(flow, mesh_size=HEIGHT / n), leaflets, how)

@@ -176,7 +176,7 @@ def test_a_sheet_in_a_uniform_flow_is_carried_along():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("changes", [{}, {"relaxation": 0.2, "relaxation_mode": "smoothed"}])
+@pytest.mark.parametrize("changes", [{"relaxation": 0.0}, {}])
 def test_a_sheet_that_is_slower_gives_the_fluid_what_it_gets(changes):
     scene = sheet_in_flow(sheet_velocity=(0.0, 0.1), options=EXACT.with_(fluid_tangent="consistent", **changes))
     for _ in range(2):

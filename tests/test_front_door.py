@@ -276,5 +276,5 @@ def test_what_is_read_when_it_is_needed_can_be_set():
     flow, shell = a_flow(), a_shell()
     fsi = CouDALFISh(flow, shell)
     flow.mu.value = shell.density.value = 0.5
-    fsi.options, fsi.step_size = CouplingOptions.steady(), 0.1
-    assert fsi.options.relaxation_mode == "smoothed"
+    fsi.options, fsi.step_size = CouplingOptions.converged(), 0.1
+    assert fsi.options.multiplier == "converged"

@@ -54,7 +54,7 @@ def test_the_scene_at_rest(valve):
     assert shell.piercings() == 0
     assert sum(fsi.shell.quadrature.weights) == pytest.approx(3 * 2.040, rel=5e-3)
     assert flow.options.solver.name.startswith("gmres")
-    assert fsi.options == CouplingOptions.steady()
+    assert fsi.options == CouplingOptions()
 
 
 def test_range_of_contact_suits_the_points(valve):

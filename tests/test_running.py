@@ -615,8 +615,7 @@ def test_single_options_are_changed_by_name():
     assert CouplingOptions.reference(penalty=500.0, block_rtol=1e-2) == CouplingOptions.reference().with_(
         penalty=500.0, block_rtol=1e-2
     )
-    assert CouplingOptions.steady() == CouplingOptions(relaxation=0.2, relaxation_mode="smoothed")
-    assert CouplingOptions.steady(relaxation=0.5).relaxation == 0.5
+    assert CouplingOptions.converged(multiplier_size=3.0).multiplier_size == 3.0
     with pytest.raises(TypeError, match="relaxtion is no option of the coupling: one of penalty, multiplier,"):
         options.with_(relaxtion=0.5)
     with pytest.raises(ValueError, match="relaxation = -1"):

@@ -185,8 +185,8 @@ BACKWARDS = TWO.copy()
 BACKWARDS[1] = TWO[1, ::-1]
 TIGHT = CouplingOptions(block_rtol=1e-11, block_atol=1e-13)
 OPTIONS = {
-    "none": TIGHT,
-    "uniform": replace(TIGHT, relaxation=0.1),
+    "none": replace(TIGHT, relaxation=0.0),
+    "uniform": replace(TIGHT, relaxation=0.1, relaxation_mode="uniform"),
     "smoothed": replace(TIGHT, relaxation=0.5, relaxation_mode="smoothed"),
     "iterate": replace(TIGHT, normal="iterate", fluid_tangent="consistent"),
     "published": replace(CouplingOptions.reference(), penalty=2.0, block_rtol=1e-9),

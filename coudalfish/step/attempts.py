@@ -49,7 +49,7 @@ def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubpr
         fluid: the flow.
         shell: the immersed structure.
     """
-    lagged = Lagged(smoothed=options.relaxation_mode == "smoothed")
+    lagged = Lagged(smoothed=options.relaxation_mode == "smoothed" and options.relaxation > 0.0)
     if options.multiplier == "lagged":
         return (Attempt(lagged, options),)
     from coudalfish.step.converged import PASSES, Converged  # who has a lagged multiplier needs nothing of it

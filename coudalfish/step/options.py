@@ -48,9 +48,10 @@ class CouplingOptions:
             the fluid's cells.
         multiplier_direction: "normal", or a converged multiplier may be a "vector", for fluids whose velocity may
             have a kink at the shell; it locks others.
-        relaxation: r >= 0 in the multiplier update; 0 suits transients, long runs need one, see docs/stability.md.
-        relaxation_mode: "uniform" damps all of the multiplier by r, "smoothed" only its difference from its mean over
-            the vertices of the fluid's mesh, which does not leak: r may be 0.1 to 1.
+        relaxation: r >= 0 in the update of a lagged multiplier; 0: none, with which patterns of the multiplier that no
+            mesh of the fluid sees grow from step to step, see docs/stability.md.
+        relaxation_mode: "smoothed" damps by r only what the multiplier differs by from its means over the vertices of
+            the fluid's mesh, which does not leak: r may be 0.1 to 1; "uniform" damps all of it and leaks.
         trace: what the shell's points see of the fluid's velocity: that at the "nodes" where they are, or the "exact"
             average over their hat functions on a curve in the plane, which also gives them their areas.
         scale_m: factor of tau_M in the band around the surface, in (0, 1].
@@ -77,8 +78,8 @@ class CouplingOptions:
     multiplier: Literal["lagged", "converged"] = "lagged"
     multiplier_size: float = 2.5
     multiplier_direction: Literal["normal", "vector"] = "normal"
-    relaxation: float = 0.0
-    relaxation_mode: Literal["uniform", "smoothed"] = "uniform"
+    relaxation: float = 0.2
+    relaxation_mode: Literal["uniform", "smoothed"] = "smoothed"
     trace: Literal["nodes", "exact"] = "nodes"
     scale_m: float = 1e-3
     scale_c: float = 0.02
@@ -135,19 +136,6 @@ class CouplingOptions:
         return replace(self, **changes)
 
     @classmethod
-    def steady(cls, **changes: Any) -> "CouplingOptions":
-        """For pressure that rests on a surface for hundreds of steps, as on a valve that is closed.
-
-        The multiplier's part that no mesh of the fluid can see grows there from step to step. Here a fifth of it is
-        taken away in each, while its means over vertices, which keep the surface tight, stay; see docs/stability.md.
-        Short transients need none of it.
-
-        Args:
-            changes: other options.
-        """
-        return cls(relaxation=0.2, relaxation_mode="smoothed").with_(**changes)
-
-    @classmethod
     def converged(cls, **changes: Any) -> "CouplingOptions":
         """A multiplier that is converged in every step, with a penalty that knows neither the time step nor inertia.
 
@@ -177,6 +165,8 @@ class CouplingOptions:
         """
         return cls(
             penalty=PenaltyRule(1.0, 0.0),
+            relaxation=0.0,
+            relaxation_mode="uniform",
             scale_m=1e-3,
             scale_c=1e-3,
             fluid_tangent="lumped",

@@ -110,8 +110,8 @@ class SheetMeans:
         return VertexMeans(apart(self.N, self.sheets), self.W)
 
     @cached_property
-    def _kept(self) -> sp.csc_matrix:
-        """Orthonormal multipliers that are kept, as columns."""
+    def _kept(self) -> list[tuple[Any, FloatArray]]:
+        """Points of each sheet, and the orthonormal multipliers on them that are kept, as columns."""
         blocks, root = [], np.sqrt(self.W)
         all_parts = np.column_stack([self.sheets.sign, self.n])
         for k in range(self.sheets.sheet.max(initial=-1) + 1):
@@ -119,14 +119,14 @@ class SheetMeans:
             parts = all_parts[mine]
             _, size, V = np.linalg.svd(root[mine, None] * parts, full_matrices=False)
             rank = int((size > DEPENDENT * size.max(initial=0.0)).sum())
-            columns = parts @ (V[:rank].T / size[:rank])
-            rows = np.repeat(mine[:, None], rank, axis=1)
-            place = (rows.ravel(), np.tile(np.arange(rank), len(mine)))
-            blocks.append(sp.csc_matrix((columns.ravel(), place), shape=(len(self.W), rank)))
-        return sp.hstack(blocks, format="csc")
+            blocks.append((mine, parts @ (V[:rank].T / size[:rank])))
+        return blocks
 
     def _keep(self, x: FloatArray) -> FloatArray:
-        return np.asarray(self._kept @ (self._kept.T @ (self.W * x)))
+        kept, load = np.zeros_like(x), self.W * x
+        for mine, columns in self._kept:
+            kept[mine] = columns @ (columns.T @ load[mine])
+        return kept
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
         """Smoothed multiplier, shape (points,)."""
