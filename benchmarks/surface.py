@@ -3,7 +3,7 @@
 The scenes are those of ``plane.py``. Every run is a process of its own, so that CPU seconds, without form compilation,
 and memory are its alone; within a table they may be compared, as the runs follow each other directly.
 
-A setting is a preset of the coupling's options, ``default``, ``converged``, ``reference`` and so on, with changes to them,
+A setting is a preset of the coupling's options, ``default``, ``converged``, ``sharp`` and so on, with changes to them,
 ``default(relaxation=0.2, penalty=(10, 0))``; ``immersed`` is that of the flow, and options of the flow are taken too.
 """
 

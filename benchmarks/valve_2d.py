@@ -167,7 +167,7 @@ def options_studies(elements: int) -> dict[str, list[Case]]:
         "scale_c": varied("scale_c", (1.0, 0.1, 0.01, 0.001), lambda s: replace(d, scale_c=s)),
         "scale_m": varied("scale_m", (1.0, 0.1, 0.01, 0.0001), lambda s: replace(d, scale_m=s)),
         "relaxation": [
-            *varied("uniform r", (0.0, 1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r, relaxation_mode="uniform")),
+            *varied("r", (0.0, 1e-5, 1e-3, 1e-2), lambda r: replace(d, relaxation=r, relaxation_mode="uniform")),
             *varied("smoothed r", (0.1, 0.5, 2.0), lambda r: replace(d, relaxation=r)),
         ],
         "block_rtol": [
