@@ -105,6 +105,15 @@ def test_values_at_nearest_places_go_on_beyond_free_ends():
     np.testing.assert_allclose(curve.at_nearest(x, turning, 1.0), expected, atol=1e-14)
 
 
+def test_values_half_way_between_mirrored_curves_are_mirrored():
+    """Where both are equally near it is the mean, at other points the value of the nearer one."""
+    curves = several(polyline([[0.1, 0.0], [0.3, 0.4]]), polyline([[0.1, 1.0], [0.3, 0.6]]))
+    v = np.column_stack([np.ones(len(curves.x)), np.where(curves.x[:, 1] < 0.5, 2.0, -2.0)])
+    x = np.array([[0.3, 0.5], [0.7, 0.5], [0.3, 0.49], [0.3, 0.51]])
+    expected = [[1.0, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, -2.0]]
+    np.testing.assert_allclose(curves.at_nearest(x, v, 1.0), expected, atol=1e-14)
+
+
 def test_zero_counts_as_positive_and_what_is_unknown_is_not_cut():
     phi = np.array([0.0, 1.0, 2.0, -1.0, np.nan])
     cut = CutCells.of(np.array([[0, 1, 2], [0, 1, 3], [3, 1, 4]]), phi)

@@ -171,7 +171,7 @@ def test_sharp_fields_follow_the_body_fitted_tip():
     assert np.mean([report.passes for report in reports]) <= 2.0
     entered = [2.0 / 3.0 * DEMO.HEIGHT * float(DEMO.inflow((0.0, DEMO.HEIGHT / 2), s, fsi.step_size)[0]) for s in t]
     assert sum(abs(report.monitors.leak) for report in reports) < 0.003 * sum(entered)
-    assert asymmetry(tips) < 1e-4
+    assert asymmetry(tips) < 1e-6
 
 
 def test_sharp_fields_are_for_the_plane(tmp_path):

@@ -86,8 +86,8 @@ class Curves:
     def _middles(self) -> cKDTree:
         return cKDTree(self.x[self.segments].mean(axis=1))
 
-    def _nearest(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> "_Nearest":
-        """Nearest places of the curves to points that are not farther than a distance."""
+    def _near(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> "_Nearest":
+        """Nearest places of the curves to points that are not farther than a distance, all that are equally near."""
         tangents, lengths = self._tangents
         radius = reach + 0.5 * float(lengths.max(initial=0.0))
         points = cKDTree(x) if tree is None else tree
@@ -97,12 +97,20 @@ class Curves:
         along = np.clip((arms * tangents[k]).sum(axis=1), 0.0, lengths[k])
         gap = arms - along[:, None] * tangents[k]
         distance = np.linalg.norm(gap, axis=1)
-        order = np.lexsort((k, np.rint(distance / (SAME_DISTANCE * radius)), i))
-        best = order[np.unique(i[order], return_index=True)[1]]
-        best = best[distance[best] <= reach]
+        order = np.lexsort((k, i))
+        starts = np.flatnonzero(np.diff(i[order], prepend=-1))
+        least = np.minimum.reduceat(distance[order], starts) if len(starts) else np.empty(0)
+        least = np.repeat(least, np.diff(np.append(starts, len(order))))
+        best = order[distance[order] <= np.minimum(least + SAME_DISTANCE * radius, reach)]
         i, k, along = i[best], k[best], along[best]
         corner = np.where(along <= 0.0, self.segments[k, 0], np.where(along >= lengths[k], self.segments[k, 1], -1))
         return _Nearest(i, k, corner, gap[best], distance[best])
+
+    def _nearest(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> "_Nearest":
+        """The same, of equally near ones the first."""
+        near = self._near(x, reach, tree)
+        k = np.unique(near.point, return_index=True)[1]
+        return _Nearest(near.point[k], near.segment[k], near.corner[k], near.gap[k], near.distance[k])
 
     def signed_distance(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> FloatArray:
         """Distance from the nearest curve, positive to its left, and negative where normals of a shell point.
@@ -171,6 +179,8 @@ class Curves:
     def at_nearest(self, x: FloatArray, values: FloatArray, reach: float) -> FloatArray:
         """Values at the nearest places of the curves, and of what continues them behind free ends.
 
+        Where several are equally near it is their mean, as mirror images of curves have mirrored values half way.
+
         Args:
             x: points, shape (m, d); unit: length.
             values: at the points of the curves, linear between them, shape (points, k).
@@ -179,14 +189,14 @@ class Curves:
         Returns:
             Shape (m, k), zero where a point is farther.
         """
-        near, (tangents, lengths) = self._nearest(x, reach), self._tangents
+        near, (tangents, lengths) = self._near(x, reach), self._tangents
         first, last = self.segments[near.segment].T
         along = ((x[near.point] - self.x[first]) * tangents[near.segment]).sum(axis=1) / lengths[near.segment]
         beyond = (near.corner >= 0) & self.free[near.corner]
         along = np.where(beyond, along, np.clip(along, 0.0, 1.0))[:, None]
-        result = np.zeros((len(x), values.shape[1]))
-        result[near.point] = (1.0 - along) * values[first] + along * values[last]
-        return result
+        result, count = np.zeros((len(x), values.shape[1])), np.bincount(near.point, minlength=len(x))
+        np.add.at(result, near.point, (1.0 - along) * values[first] + along * values[last])
+        return result / np.maximum(count, 1)[:, None]
 
     def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> Any:
         """Mask of the points that are not farther than a distance from a free end, shape (m,); see above."""
