@@ -270,6 +270,18 @@ def test_diagonals_to_the_left_are_mirror_images_of_those_to_the_right():
         assert np.all(sides[np.arange(len(sides)), np.abs(sides).sum(axis=2).argmax(axis=1)].prod(axis=1) == rises)
 
 
+@pytest.mark.mpi
+def test_alternating_diagonals_rise_otherwise_than_those_of_all_neighbours():
+    """On squares of edge 1, two triangles of each."""
+    x = compat.cell_vertices(box(COMM, (0, 0), (4, 3), (4, 3), diagonal="alternating").domain)[..., :2]
+    cells = np.unique(np.concatenate(COMM.allgather(x)), axis=0)
+    square = np.floor(cells.mean(axis=1)).astype(int)
+    sides = cells - np.roll(cells, 1, axis=1)
+    rises = sides[np.arange(len(sides)), np.abs(sides).sum(axis=2).argmax(axis=1)].prod(axis=1)
+    assert np.array_equal(rises * rises[0], (-1.0) ** (square.sum(axis=1) - square[0].sum()))
+    assert np.array_equal(np.unique(square, axis=0, return_counts=True)[1], np.full(12, 2))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_vertex_0_of_a_cell_of_a_grid_has_the_smallest_coordinates(kind):
     x = compat.cell_vertices(grid(MPI.COMM_SELF, LINES[: 2 if kind in CELLS[2] else 3], kind).domain)

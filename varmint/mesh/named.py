@@ -172,7 +172,8 @@ def box(
         upper: the opposite corner, same shape.
         elements: numbers of intervals along the axes, same shape; simplices are halves or sixths of a cell.
         cell: "triangle" or "quadrilateral", "tetrahedron" or "hexahedron"; None: simplices.
-        diagonal: of the rectangles that triangles halve, which rises to the "right" or to the "left".
+        diagonal: of the rectangles that triangles halve, which rises to the "right" or to the "left", or "alternating"
+            between neighbours, which favours no direction.
 
     Returns:
         The mesh; its sides are "left", "right" (along the first axis), "bottom", "top", and "back", "front".
@@ -230,7 +231,7 @@ def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None, *,
     dim = checks.choice("number of axes in lines", len(lines), (2, 3))
     kind = getattr(mesh.CellType, checks.choice("cell", CELLS[dim][0] if cell is None else cell, CELLS[dim]))
     checks.kind("comm", comm, MPI.Comm, "a communicator, such as MPI.COMM_WORLD,")
-    diagonals = ("right", "left") if kind == mesh.CellType.triangle else ("right",)
+    diagonals = ("right", "left", "alternating") if kind == mesh.CellType.triangle else ("right",)
     mirrored = checks.choice("diagonal", diagonal, diagonals) == "left"
     axes = [checks.array(f"lines[{i}]", line, (None,)) for i, line in enumerate(lines)]
     for i, line in enumerate(axes):
@@ -238,7 +239,8 @@ def grid(comm: MPI.Comm, lines: Sequence[ArrayLike], cell: str | None = None, *,
             raise ValueError(f"lines[{i}] = {lines[i]!r}: two or more coordinates that increase are required")
     counts = [len(line) - 1 for line in axes]
     make = mesh.create_rectangle if dim == 2 else mesh.create_box
-    domain = make(comm, [np.zeros(dim), np.array(counts, dtype=np.float64)], counts, kind)
+    options = {"diagonal": mesh.DiagonalType.right_left} if diagonal == "alternating" else {}
+    domain = make(comm, [np.zeros(dim), np.array(counts, dtype=np.float64)], counts, kind, **options)
     for i, line in enumerate(axes):
         number = np.rint(domain.geometry.x[:, i]).astype(int)
         domain.geometry.x[:, i] = line[counts[0] - number if mirrored and i == 0 else number]
