@@ -12,7 +12,8 @@ from tigar_x.compat.meshes import connectivity, owned_cells
 from tigar_x.compat.release import VERSION, IntArray
 
 _FFI = cffi.FFI()
-KINDS = {"cell": cpp.fem.IntegralType.cell, "exterior_facet": cpp.fem.IntegralType.exterior_facet}
+_Kind: Any = getattr(fem, "IntegralType", None) or cpp.fem.IntegralType  # the one since 0.10, the other before
+KINDS = {"cell": _Kind.cell, "exterior_facet": _Kind.exterior_facet}
 """Kinds of integrals that can be confined: each entity belongs to one cell."""
 
 
