@@ -200,7 +200,7 @@ def test_point_spacing():
     for ratio, figures in ran(results).items():
         assert ("immersed points are up to" in results[ratio].message) == (ratio > 0.75)
         if ratio <= 1.0:
-            assert figures["outflow/law"] == pytest.approx(1.0, abs=0.3)
+            assert figures["outflow/law"] == pytest.approx(1.0, abs=0.3 if ratio == 0.7 else 0.2)
     assert results[1.5].observed["outflow/law"] > 2.0
     assert results[3.0].observed["outflow/law"] > results[1.5].observed["outflow/law"]
 

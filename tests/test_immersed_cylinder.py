@@ -56,7 +56,7 @@ def test_fields_that_jump_and_bend_have_small_lifts(steady, diagonal):
     """20 cells, on any diagonals: the lift is off by less than 0.07, where the default's is by 0.24 to 0.5."""
     found, _, summary = steady(cells=20, dt=0.1, until=4.0, preset="sharp", diagonal=diagonal)
     assert found["drag"] == pytest.approx(KNOWN["drag"], rel=0.125)
-    assert found["dp"] == pytest.approx(KNOWN["dp"], rel=0.035)
+    assert found["dp"] == pytest.approx(KNOWN["dp"], rel=0.035 if diagonal == "alternating" else 0.03)
     assert abs(found["lift"] - KNOWN["lift"]) < 0.07
     assert summary["block_iterations_mean"] < 1.3
 
