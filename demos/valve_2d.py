@@ -73,8 +73,7 @@ class Valve:
     def __post_init__(self) -> None:
         for name, least in (("elements", 1), ("leaflet_elements", 2), ("degree", 2), ("steps_per_element", 1)):
             checks.whole(name, getattr(self, name), least)
-        if self.smoothing is not None:
-            checks.not_negative("smoothing", self.smoothing)
+        checks.not_negative("smoothing", self.smoothing or 0.0)
         checks.positive("dt_factor", self.dt_factor)
         if self.mirrored is None:
             object.__setattr__(self, "mirrored", self.preset != "reference" and self.elements % 2 == 0)
