@@ -9,12 +9,14 @@ import tempfile
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 import restarted
 import test_moving_coupler as moving
 from mpi4py import MPI
+from divided import CONVERGED, FLAP, TIGHT, channel
 from load import load_demo
 from mpi_runs import MPIRUN, mpirun, outside
 from on_disk import ROOT, read_vtkhdf
@@ -23,6 +25,8 @@ from test_sided import membrane
 
 from coudalfish import PenaltyRule
 from coudalfish.restart import CoupledState
+from coudalfish.step import condensed
+from tigar_x.fem.linear import SolveError
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.run.restart import Integrators, Restart
 from varmint.conditions import Velocity
@@ -49,6 +53,28 @@ def rational(n):
     return np.random.default_rng(0).uniform(0.5, 2.0, n)
 
 
+def dynamic():
+    """A flap in a flow with sub-scales of their own, whose fields differ on both sides of it."""
+    return channel(FLAP, subscales="dynamic", options=CONVERGED.with_(**TIGHT)).fsi
+
+
+class Fallen:
+    """The same, which falls back to a lagged multiplier in the step before the break."""
+
+    def __init__(self):
+        self.fsi = dynamic()
+        self.take_step, self.fsi.takeStep = self.fsi.takeStep, self
+
+    def __call__(self):
+        if round(self.fsi.timeInt_f.time / self.fsi.step_size) != BREAK - 1:
+            return self.take_step()
+        with mock.patch.object(condensed.CondensedSystem, "solve", side_effect=SolveError("as told")) as failing:
+            report = self.take_step()
+        assert failing.call_count == 2
+        assert np.abs(self.fsi.lam).max() > 0.0
+        return report
+
+
 COUPLED = {
     "plain": lambda: restarted.scene().fsi,
     "taylor_hood": lambda: restarted.scene(taylor_hood=True).fsi,
@@ -60,6 +86,8 @@ COUPLED = {
         elastic, sheet_velocity=(0.5, 0.0), n=4, options=moving.TIGHT.with_(relaxation=0.0)
     ),
     "both sides": lambda: membrane("jump and kink", level=1, block_rtol=1e-10)[1],
+    "dynamic": dynamic,
+    "fallen": lambda: Fallen().fsi,
 }
 
 
@@ -115,6 +143,7 @@ def forget(name):
     [
         *(("plain", part) for part in ("lam", "fluid.x", "fluid.xdot", "shell.x", "shell.xdot", "shell.xddot")),
         *(("both sides", part) for part in ("fluid.second", "fluid.second_rate")),
+        *(("dynamic", part) for part in ("fluid.subscale", "fluid.subscale_rate")),
     ],
 )
 def test_each_part_of_the_state_matters(name, part, tmp_path):
