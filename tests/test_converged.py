@@ -329,6 +329,25 @@ def test_a_step_that_fails_falls_back_to_a_lagged_smoothed_multiplier_and_says_s
     assert sum("fall back to a lagged multiplier" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
 
 
+def test_a_step_that_fails_is_first_tried_with_tangents_in_every_pass(warned, monkeypatch):
+    tried, whole = in_flow(CouplingOptions.converged()), in_flow(CouplingOptions.converged(tangent_update="pass"))
+    solve, calls = condensed.CondensedSystem.solve, []
+
+    def fails_once(*arguments):
+        calls.append(0)
+        if len(calls) == 1:
+            raise SolveError("as told")
+        return solve(*arguments)
+
+    whole.fsi.takeStep()
+    monkeypatch.setattr(condensed.CondensedSystem, "solve", fails_once)
+    tried.fsi.takeStep()
+    assert len(calls) > 1
+    assert restarted.norms(tried.fsi) == pytest.approx(restarted.norms(whole.fsi), rel=1e-12)
+    assert sum("assemble tangents in every pass" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
+    assert not any("fall back to a lagged multiplier" in text for text in warned())
+
+
 def test_a_step_that_fails_in_every_way_leaves_the_last_good_state(monkeypatch):
     s = in_flow(CouplingOptions.converged())
     s.fsi.takeStep()
