@@ -5,10 +5,12 @@ import pytest
 import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
+from scipy.spatial import cKDTree
 
 from coudalfish.surface.cut_cells import CutCells, SideWeights
-from coudalfish.surface.distance import Curves
+from coudalfish.surface.distance import Curves, Sought
 from coudalfish.surface.enriched import Enriching, agreeing
+from coudalfish.surface.sheets import Chain, Sheets
 from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 
@@ -19,15 +21,19 @@ def polyline(x, closed=False):
     x = np.asarray(x, dtype=float)
     n = len(x)
     ends = np.arange(n if closed else n - 1)
-    return Curves(x, np.column_stack([ends, (ends + 1) % n]), np.arange(n))
+    return Curves(x, Chain(np.column_stack([ends, (ends + 1) % n]), np.arange(n)))
 
 
 def several(*curves):
     """Curves side by side."""
     counts = np.cumsum([0] + [len(curve.x) for curve in curves[:-1]])
     x = np.concatenate([curve.x for curve in curves])
-    segments = np.concatenate([curve.segments + count for curve, count in zip(curves, counts, strict=True)])
-    return Curves(x, segments, np.arange(len(x)))
+    segments = np.concatenate([curve.chain.segments + count for curve, count in zip(curves, counts, strict=True)])
+    return Curves(x, Chain(segments, np.arange(len(x))))
+
+
+def nearest(curve, x, reach):
+    return curve.nearest(np.asarray(x), Sought(np.arange(len(x)), reach))
 
 
 def circle(radius=0.3, n=200, center=(0.51, 0.52)):
@@ -102,7 +108,7 @@ def test_values_at_nearest_places_go_on_beyond_free_ends():
     turning = np.column_stack([np.zeros(len(curve.x)), 2.0 * curve.x[:, 0]])
     x = np.array([[0.25, 0.1], [1.0, -0.1], [1.2, 0.1], [-0.1, 0.0], [0.5, 2.0]])
     expected = [[0.0, 0.5], [0.0, 2.0], [0.0, 2.4], [0.0, -0.2], [0.0, 0.0]]
-    np.testing.assert_allclose(curve.at_nearest(x, turning, 1.0), expected, atol=1e-14)
+    np.testing.assert_allclose(nearest(curve, x, 1.0).values(turning), expected, atol=1e-14)
 
 
 def test_values_half_way_between_mirrored_curves_are_mirrored():
@@ -124,29 +130,31 @@ def test_zero_counts_as_positive_and_what_is_unknown_is_not_cut():
 def test_sides_of_a_closed_curve():
     x = np.random.default_rng(5).uniform(0.0, 1.0, (300, 2))
     r = np.linalg.norm(x - [0.51, 0.52], axis=1)
-    phi = circle().signed_distance(x, 10.0)
+    phi = nearest(circle(), x, 10.0).signed_distance()
     np.testing.assert_allclose(phi, 0.3 - r, atol=1e-4)  # it turns left, and its normals point inwards
-    assert np.isnan(circle().signed_distance(np.array([[0.51, 0.52], [0.51, 0.80]]), 0.1)[0])
-    assert not circle().free.any()
+    assert np.isnan(nearest(circle(), [[0.51, 0.52], [0.51, 0.80]], 0.1).signed_distance()[0])
+    assert not circle().chain.free.any()
 
 
 def test_a_curve_goes_straight_on_beyond_its_ends():
     curve = polyline([[0.2, 0.5], [0.4, 0.5], [0.5, 0.6]])
     x = np.array([[0.0, 0.7], [0.0, 0.3], [0.6, 0.8], [0.8, 0.8], [0.3, 0.45]])
-    assert curve.covers(np.array([[0.41, 0.47]]), 1.0).all()  # nearest is the corner, at which the curve goes on
-    np.testing.assert_allclose(curve.signed_distance(x, 1.0), [0.2, -0.2, 0.1 / 2**0.5, -0.1 / 2**0.5, -0.05])
-    np.testing.assert_array_equal(curve.covers(x, 1.0), [False, False, False, False, True])
-    np.testing.assert_array_equal(curve.near_ends(x, 0.25), [False, False, True, False, True])
+    assert nearest(curve, [[0.41, 0.47]], 1.0).covered().all()  # nearest is the corner, at which the curve goes on
+    np.testing.assert_allclose(
+        nearest(curve, x, 1.0).signed_distance(), [0.2, -0.2, 0.1 / 2**0.5, -0.1 / 2**0.5, -0.05]
+    )
+    np.testing.assert_array_equal(nearest(curve, x, 1.0).covered(), [False, False, False, False, True])
+    np.testing.assert_array_equal(curve.near_ends(x, 0.25), [2, 4])
+    np.testing.assert_array_equal(curve.near_ends(x, 0.25, cKDTree(x)), [2, 4])
 
 
 def test_corners_have_the_side_of_both_segments():
     """At a sharp corner the normals of one segment alone put points on the wrong side."""
     curve = polyline([[0.0, 0.0], [0.5, 0.1], [0.0, 0.2]])
-    np.testing.assert_array_equal(np.sign(curve.signed_distance(np.array([[0.6, 0.05], [0.6, 0.15]]), 1.0)), -1.0)
+    np.testing.assert_array_equal(np.sign(nearest(curve, [[0.6, 0.05], [0.6, 0.15]], 1.0).signed_distance()), -1.0)
 
 
 def test_patches_that_are_parametrised_against_each_other_have_one_side():
-    from coudalfish.surface.sheets import Sheets
     from tigar_x.geometry import shapes
     from tigar_x.geometry.gluing import glued
     from tigar_x.splines.spline import ExtractedSpline
@@ -154,10 +162,10 @@ def test_patches_that_are_parametrised_against_each_other_have_one_side():
     parts = [shapes.line((0.1, 0.5), (0.5, 0.5), elements=4), shapes.line((0.9, 0.5), (0.5, 0.5), elements=4)]
     sheets = Sheets.of(ExtractedSpline(glued(*parts), MPI.COMM_SELF))
     curves = Curves.of(sheets, sheets.X)
-    phi = curves.signed_distance(np.array([[0.2, 0.6], [0.8, 0.6], [0.5, 0.6]]), 1.0)
+    phi = nearest(curves, [[0.2, 0.6], [0.8, 0.6], [0.5, 0.6]], 1.0).signed_distance()
     np.testing.assert_allclose(np.abs(phi), 0.1)
     assert len(set(np.sign(phi))) == 1
-    np.testing.assert_allclose(np.sort(curves.x[curves.free, 0]), [0.1, 0.9])
+    np.testing.assert_allclose(np.sort(curves.x[curves.chain.free, 0]), [0.1, 0.9])
 
 
 @pytest.mark.mpi

@@ -228,7 +228,7 @@ def ring(radius=0.23, elements=6):
 def area(fsi):
     """Within the closed curve of a shell."""
     curves = Curves.of(fsi.shell.sheets, fsi.shell.positions())
-    a, b = curves.x[curves.segments].transpose(1, 0, 2)
+    a, b = curves.x[curves.chain.segments].transpose(1, 0, 2)
     return abs(0.5 * float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()))
 
 

@@ -40,15 +40,15 @@ class CutCells:
             vertices: nodes at the vertices of all triangles, shape (cells, 3).
             phi: the function at the nodes; where it is not a number nothing is cut.
         """
-        values = phi[vertices]
-        negative = values < 0.0
-        mixed = negative.any(axis=1) & ~negative.all(axis=1) & np.isfinite(values).all(axis=1)
-        cells = np.flatnonzero(mixed).astype(np.int32)
-        return cls(cells, values[cells])
+        a, b, c = (phi < 0.0)[vertices].T
+        cells = np.flatnonzero((a != b) | (a != c)).astype(np.int32)
+        values = phi[vertices[cells]]
+        known = np.isfinite(values).all(axis=1)
+        return cls(cells[known], values[known])
 
     def only(self, chosen: Any) -> "CutCells":
         """Some of them, by a mask of shape (cut,)."""
-        return CutCells(self.cells[chosen], self.values[chosen])
+        return self if chosen.all() else CutCells(self.cells[chosen], self.values[chosen])
 
     @cached_property
     def _alone(self) -> tuple[IntArray, Any]:

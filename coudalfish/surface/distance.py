@@ -8,11 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.sheets import Chain, Sheets
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
@@ -21,18 +19,31 @@ SAME_DISTANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
+class Sought:
+    """Points of which the nearest places are sought.
+
+    Attributes:
+        points: their numbers.
+        reach: distance up to which; unit: length.
+        tree: of these points; None: it is made.
+    """
+
+    points: IntArray
+    reach: float
+    tree: cKDTree | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Curves:
     """Curves of straight segments, some closed, some with free ends.
 
     Attributes:
         x: positions of the points, shape (points, d); unit: length.
-        segments: pairs of neighbouring points, all in one direction along a curve, shape (segments, 2).
-        place: number of the place in which a point is, the same for points that a joint unites, shape (points,).
+        chain: how they hang together.
     """
 
     x: FloatArray
-    segments: IntArray
-    place: IntArray
+    chain: Chain
 
     def __post_init__(self) -> None:
         checks.freeze(self)
@@ -45,108 +56,52 @@ class Curves:
             sheets: how they hang together.
             x: their positions, shape (points, d); unit: length.
         """
-        turned = sheets.sign[sheets.cells[:, 0]] < 0.0
-        segments = np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells)
-        return cls(x, segments, sheets.places)
+        return cls(x, sheets.chain)
 
     @cached_property
-    def _tangents(self) -> tuple[FloatArray, FloatArray]:
+    def tangents(self) -> tuple[FloatArray, FloatArray]:
         """Unit tangents and lengths of the segments."""
-        arms = self.x[self.segments[:, 1]] - self.x[self.segments[:, 0]]
-        lengths = np.linalg.norm(arms, axis=1)
+        arms = self.x[self.chain.segments[:, 1]] - self.x[self.chain.segments[:, 0]]
+        lengths = np.sqrt(np.einsum("si,si->s", arms, arms))
         return arms / lengths[:, None], lengths
 
-    def _sums(self, values: FloatArray) -> FloatArray:
-        """Of the segments that meet at a place, at every point."""
-        total = np.zeros((self.place.max(initial=-1) + 1, values.shape[1]))
-        for end in (0, 1):
-            np.add.at(total, self.place[self.segments[:, end]], values)
-        return total[self.place]
-
     @cached_property
-    def free(self) -> Any:
-        """Mask of the points at free ends, shape (points,)."""
-        return np.bincount(self.place[self.segments.ravel()], minlength=len(self.x))[self.place] == 1
-
-    @cached_property
-    def _normals(self) -> tuple[FloatArray, FloatArray]:
+    def normals(self) -> tuple[FloatArray, FloatArray]:
         """Unit normals of the segments, and their sums at the points."""
-        tangents, _ = self._tangents
+        tangents, _ = self.tangents
         normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
-        return normals, self._sums(normals)
-
-    @cached_property
-    def curve(self) -> IntArray:
-        """Number of the curve to which a segment belongs, shape (segments,)."""
-        ends, places = self.place[self.segments], self.place.max(initial=-1) + 1
-        joined = sp.coo_matrix((np.ones(len(ends)), ends.T), shape=(places, places))
-        return np.asarray(connected_components(joined, directed=False)[1][ends[:, 0]])
+        return normals, self.chain.sums(normals)
 
     @cached_property
     def _middles(self) -> cKDTree:
-        return cKDTree(self.x[self.segments].mean(axis=1))
+        starts, ends = self.chain.segments.T
+        return cKDTree(0.5 * (self.x[starts] + self.x[ends]))
 
-    def _near(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> "_Nearest":
-        """Nearest places of the curves to points that are not farther than a distance, all that are equally near."""
-        tangents, lengths = self._tangents
-        radius = reach + 0.5 * float(lengths.max(initial=0.0))
-        points = cKDTree(x) if tree is None else tree
-        near = points.sparse_distance_matrix(self._middles, radius, output_type="ndarray")
-        i, k = near["i"], near["j"]
-        arms = x[i] - self.x[self.segments[k, 0]]
-        along = np.clip((arms * tangents[k]).sum(axis=1), 0.0, lengths[k])
-        gap = arms - along[:, None] * tangents[k]
-        distance = np.linalg.norm(gap, axis=1)
-        order = np.lexsort((k, i))
-        starts = np.flatnonzero(np.diff(i[order], prepend=-1))
-        least = np.minimum.reduceat(distance[order], starts) if len(starts) else np.empty(0)
-        least = np.repeat(least, np.diff(np.append(starts, len(order))))
-        best = order[distance[order] <= np.minimum(least + SAME_DISTANCE * radius, reach)]
-        i, k, along = i[best], k[best], along[best]
-        corner = np.where(along <= 0.0, self.segments[k, 0], np.where(along >= lengths[k], self.segments[k, 1], -1))
-        return _Nearest(i, k, corner, gap[best], distance[best])
-
-    def _nearest(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> "_Nearest":
-        """The same, of equally near ones the first."""
-        near = self._near(x, reach, tree)
-        k = np.unique(near.point, return_index=True)[1]
-        return _Nearest(near.point[k], near.segment[k], near.corner[k], near.gap[k], near.distance[k])
-
-    def signed_distance(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> FloatArray:
-        """Distance from the nearest curve, positive to its left, and negative where normals of a shell point.
+    def nearest(self, x: FloatArray, *sought: Sought) -> "Nearest":
+        """Nearest places of the curves to points.
 
         Args:
             x: points, shape (m, d); unit: length.
-            reach: farther points get none; unit: length.
-            tree: of the points; None: it is made.
-
-        Returns:
-            Shape (m,), not a number where a point is farther; beyond a free end the distance from the straight line
-            that continues it. Unit: length.
+            sought: of which of them, at least one; of points that are sought twice the last reach counts.
         """
-        return self.sides(x, reach, tree)[0]
-
-    def sides(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> tuple[FloatArray, IntArray]:
-        """Signed distance from the nearest curve, and which one that is.
-
-        Args:
-            x: see :meth:`signed_distance`.
-            reach: see there.
-            tree: see there.
-
-        Returns:
-            Distances as there, and numbers of curves, -1 where a point is farther, both of shape (m,).
-        """
-        near, (of_segments, of_points) = self._nearest(x, reach, tree), self._normals
-        at_corner = near.corner >= 0
-        normal = np.where(at_corner[:, None], of_points[near.corner], of_segments[near.segment])
-        side = (near.gap * normal).sum(axis=1)
-        beyond = at_corner & self.free[near.corner]
-        result = np.full(len(x), np.nan)
-        result[near.point] = np.where(beyond, side, np.where(side < 0.0, -near.distance, near.distance))
-        nearest = np.full(len(x), -1)
-        nearest[near.point] = self.curve[near.segment]
-        return result, nearest
+        tangents, lengths = self.tangents
+        half, limit, pairs = 0.5 * float(lengths.max(initial=0.0)), np.zeros(len(x)), []
+        for one in sought:
+            limit[one.points] = one.reach
+            tree = cKDTree(x[one.points]) if one.tree is None else one.tree
+            near = tree.sparse_distance_matrix(self._middles, one.reach + half, output_type="ndarray")
+            pairs.append((one.points[near["i"]], near["j"]))
+        i, k = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        group, order = _grouped(i, len(x))
+        i, k = i[order], k[order]
+        arms, t = x[i] - self.x[self.chain.segments[k, 0]], tangents[k]
+        along = np.einsum("pi,pi->p", arms, t)
+        gap = arms - np.clip(along, 0.0, lengths[k])[:, None] * t
+        distance = np.sqrt(np.einsum("pi,pi->p", gap, gap))
+        tolerance = SAME_DISTANCE * (limit.max(initial=0.0) + half)
+        best = _least(distance, tolerance, k, group)
+        best = best[distance[best] <= limit[i[best]]]
+        return Nearest(self, len(x), i[best], k[best], along[best], gap[best], distance[best])
 
     def crossed(self, start: FloatArray, end: FloatArray, reach: float) -> Any:
         """Mask of the straight lines that cross a curve or its continuation, shape (m,).
@@ -171,52 +126,24 @@ class Curves:
 
     def _continued(self, reach: float) -> tuple[FloatArray, FloatArray]:
         """Starts and ends of the segments, and of those that continue them at free ends."""
-        starts, ends = self.x[self.segments].transpose(1, 0, 2)
-        arms, (first, last) = reach * self._tangents[0], self.free[self.segments].T
+        starts, ends = self.x[self.chain.segments].transpose(1, 0, 2)
+        arms, (first, last) = reach * self.tangents[0], self.chain.free[self.chain.segments].T
         begins = starts, ends[last], starts[first] - arms[first]
         return np.concatenate(begins), np.concatenate([ends, ends[last] + arms[last], starts[first]])
 
-    def at_nearest(self, x: FloatArray, values: FloatArray, reach: float) -> FloatArray:
-        """Values at the nearest places of the curves, and of what continues them behind free ends.
-
-        Where several are equally near it is their mean, as mirror images of curves have mirrored values half way.
+    def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> IntArray:
+        """Those of some points that are not farther than a distance from a free end, ascending.
 
         Args:
             x: points, shape (m, d); unit: length.
-            values: at the points of the curves, linear between them, shape (points, k).
-            reach: farther points get none; unit: length.
-
-        Returns:
-            Shape (m, k), zero where a point is farther.
+            reach: the distance; unit: length.
+            tree: of the points; None: all are looked at.
         """
-        near, (tangents, lengths) = self._near(x, reach), self._tangents
-        first, last = self.segments[near.segment].T
-        along = ((x[near.point] - self.x[first]) * tangents[near.segment]).sum(axis=1) / lengths[near.segment]
-        beyond = (near.corner >= 0) & self.free[near.corner]
-        along = np.where(beyond, along, np.clip(along, 0.0, 1.0))[:, None]
-        result, count = np.zeros((len(x), values.shape[1])), np.bincount(near.point, minlength=len(x))
-        np.add.at(result, near.point, (1.0 - along) * values[first] + along * values[last])
-        return result / np.maximum(count, 1)[:, None]
-
-    def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> Any:
-        """Mask of the points that are not farther than a distance from a free end, shape (m,); see above."""
-        result, ends = np.zeros(len(x), dtype=bool), self.x[self.free]
-        if len(ends) and len(x):
-            found = (cKDTree(x) if tree is None else tree).query_ball_point(ends, reach)
-            result[np.concatenate(found).astype(np.int64)] = True
-        return result
-
-    def covers(self, x: FloatArray, reach: float) -> Any:
-        """Whether the nearest place of the curves is not beyond a free end, shape (m,).
-
-        Args:
-            x: points, shape (m, d); unit: length.
-            reach: farther points are not covered; unit: length.
-        """
-        near = self._nearest(x, reach)
-        result = np.zeros(len(x), dtype=bool)
-        result[near.point] = (near.corner < 0) | ~self.free[near.corner] | (near.distance == 0.0)
-        return result
+        ends = self.x[self.chain.free]
+        if tree is None:
+            gap = x[:, None] - ends
+            return np.flatnonzero((np.einsum("pei,pei->pe", gap, gap) <= reach**2).any(axis=1))
+        return np.unique(np.concatenate([[], *tree.query_ball_point(ends, reach)]).astype(np.int64))
 
 
 def _side(start: FloatArray, end: FloatArray, x: FloatArray) -> FloatArray:
@@ -226,19 +153,118 @@ def _side(start: FloatArray, end: FloatArray, x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Nearest:
-    """Nearest places of curves.
+class Nearest:
+    """Nearest places of curves to points, those that are in reach, all that are equally near.
 
     Attributes:
-        point: to which points, ascending.
-        segment: on which segments.
-        corner: the points of the curves there, -1 within a segment.
+        curves: the curves.
+        count: number m of the points.
+        point: to which of them, ascending, shape (near,).
+        segment: on which segments, of one point ascending, shape (near,).
+        along: how far along these they are, below zero and beyond their lengths behind free ends, shape (near,); unit:
+            length.
         gap: from there to the points, shape (near, d); unit: length.
-        distance: its length.
+        distance: its length, shape (near,).
     """
 
+    curves: Curves
+    count: int
     point: IntArray
     segment: IntArray
-    corner: IntArray
+    along: FloatArray
     gap: FloatArray
     distance: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """The first place of each point."""
+        return np.flatnonzero(np.diff(self.point, prepend=-1))
+
+    @cached_property
+    def _corner(self) -> IntArray:
+        """The points of the curves there, -1 within a segment."""
+        ends, lengths = self.curves.chain.segments[self.segment], self.curves.tangents[1][self.segment]
+        return np.where(self.along <= 0.0, ends[:, 0], np.where(self.along >= lengths, ends[:, 1], -1))
+
+    @cached_property
+    def _beyond(self) -> Any:
+        """Mask of those behind a free end, or at it."""
+        return (self._corner >= 0) & self.curves.chain.free[self._corner]
+
+    def signed_distance(self) -> FloatArray:
+        """Distance from the nearest curve, positive to its left, and negative where normals of a shell point.
+
+        Returns:
+            Shape (m,), not a number where a point is farther; beyond a free end the distance from the straight line
+            that continues it. Unit: length.
+        """
+        of_segments, of_points = self.curves.normals
+        normal = np.where((self._corner >= 0)[:, None], of_points[self._corner], of_segments[self.segment])
+        side = np.einsum("pi,pi->p", self.gap, normal)
+        return self._spread(np.where(self._beyond, side, np.where(side < 0.0, -self.distance, self.distance)), np.nan)
+
+    def curve(self) -> IntArray:
+        """Number of the nearest curve, -1 where a point is farther, shape (m,)."""
+        return self._spread(self.curves.chain.curve[self.segment], -1)
+
+    def covered(self) -> Any:
+        """Whether the nearest place is not beyond a free end, shape (m,); farther points are not covered."""
+        return self._spread(~self._beyond | (self.distance == 0.0), False)
+
+    def values(self, of_points: FloatArray) -> FloatArray:
+        """Values at the nearest places, and of what continues the curves behind free ends.
+
+        Where several are equally near it is their mean, as mirror images of curves have mirrored values half way.
+
+        Args:
+            of_points: at the points of the curves, linear between them, shape (points, k).
+
+        Returns:
+            Shape (m, k), zero where a point is farther.
+        """
+        first, last = self.curves.chain.segments[self.segment].T
+        at = self.along / self.curves.tangents[1][self.segment]
+        at = np.where(self._beyond, at, np.clip(at, 0.0, 1.0))[:, None]
+        values, count = (
+            (1.0 - at) * of_points[first] + at * of_points[last],
+            np.bincount(self.point, minlength=self.count),
+        )
+        sums = np.stack([np.bincount(self.point, column, self.count) for column in values.T], axis=1)
+        return np.asarray(sums / np.maximum(count, 1)[:, None])
+
+    def _spread(self, values: Any, otherwise: Any) -> Any:
+        """Values of all points, out of those of the near places, of which the first counts."""
+        result = np.full(self.count, otherwise, dtype=values.dtype)
+        result[self.point[self._first]] = values[self._first]
+        return result
+
+
+def _grouped(i: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+    """An order in which numbers below a count ascend, and which of their different ones each of them is then."""
+    there = np.zeros(count, dtype=bool)
+    there[i] = True
+    different = np.flatnonzero(there)
+    number = np.empty(count, dtype=np.uint16 if len(different) < 2**16 else np.int64)  # short ones are sorted at once
+    number[different] = np.arange(len(different))
+    group = number[i]
+    order = np.argsort(group, kind="stable")
+    return group[order], order
+
+
+def _least(values: FloatArray, tolerance: float, k: IntArray, group: IntArray) -> IntArray:
+    """Places of the least values of every group, and of those that are not larger by more than a tolerance.
+
+    Args:
+        values: shape (n,).
+        tolerance: see above.
+        k: by which places of a group are sorted, shape (n,).
+        group: numbers of the groups, ascending without gaps.
+    """
+    if not len(group):
+        return np.empty(0, dtype=np.int64)
+    starts = np.flatnonzero(np.diff(group, prepend=group[0] + 1))
+    best = np.flatnonzero(values <= np.minimum.reduceat(values, starts)[group] + tolerance)
+    return best if len(best) == len(starts) else best[np.lexsort((k[best], group[best]))]

@@ -6,6 +6,7 @@ ends touch the surface is tight, and a gap of a cell and more lets the fluid thr
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,10 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from coudalfish.surface.cut_cells import CutCells
-from coudalfish.surface.distance import Curves
+from coudalfish.surface.distance import Curves, Nearest, Sought
 from coudalfish.surface.meeting import Meeting
 from tigar_x import checks, compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 
 DIVIDED = 1e-5
 """Share of the area of a node's cells that each part has to have for its pressure to jump."""
@@ -56,8 +57,8 @@ class Enrichment:
         cut: cells in which one of the nodes is enriched, ghosts as well.
         jump: mask of the nodes at which the pressure jumps, shape (nodes,).
         kink: mask of the nodes at which the velocity is kinked, shape (nodes,).
-        velocity: that of the curve at the nodes of cut cells, zero at others, shape (nodes, d); unit: length/time;
-            None: it rests.
+        velocity: that of the curve at the nodes near it, zero at others, shape (nodes, d); unit: length/time; None: it
+            rests.
     """
 
     phi: FloatArray
@@ -68,6 +69,11 @@ class Enrichment:
 
     def __post_init__(self) -> None:
         checks.freeze(self)
+
+    @cached_property
+    def known(self) -> FloatArray:
+        """The signed distance, zero where it is not known, shape (nodes,)."""
+        return np.where(np.isfinite(self.phi), self.phi, 0.0)
 
     @classmethod
     def none(cls, nodes: int) -> "Enrichment":
@@ -86,23 +92,27 @@ class Enriching:
 
     def __init__(self, space: fem.FunctionSpace, *, kinked: bool) -> None:
         self._kinked, self._sum = kinked, fem.Function(space)
+        self._comm = space.mesh.comm
         self.vertices = compat.cell_dofs(space)
         self.x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
-        self._tree = cKDTree(self.x)
+        self._tree, self._every = cKDTree(self.x), np.arange(len(self.x))
         self.corners = self.x[self.vertices]
         arms = self.corners[:, 1:] - self.corners[:, :1]
         self._areas = 0.5 * np.abs(np.linalg.det(arms))
         size = float(np.linalg.norm(arms, axis=2).max(initial=0.0))
-        self._largest = space.mesh.comm.allreduce(size, op=MPI.MAX)
+        self._largest = self._comm.allreduce(size, op=MPI.MAX)
         self._owned = compat.owned_cells(space.mesh)
-        self._support = self._total(np.arange(self._owned), np.repeat(self._areas[: self._owned, None], 3, axis=1))
+        nodes, areas = self.vertices[: self._owned], self._areas[: self._owned]
+        self._support = self._total(nodes, np.broadcast_to(areas[:, None], nodes.shape))
 
-    def _total(self, cells: Any, values: FloatArray) -> FloatArray:
-        """Sums at nodes of values at the vertices of cells that this rank owns (collective)."""
-        array = self._sum.x.array
-        array[:] = np.bincount(self.vertices[cells].ravel(), values.ravel(), len(array))
+    def _total(self, nodes: IntArray, values: FloatArray) -> FloatArray:
+        """Sums at all nodes, over the ranks, of values at some of them, which may be the same (collective)."""
+        sums = np.bincount(nodes.ravel(), values.ravel(), len(self.x))
+        if self._comm.size == 1:
+            return sums
+        self._sum.x.array[:] = sums
         compat.accumulate(self._sum)
-        return np.asarray(array.copy())
+        return np.asarray(self._sum.x.array.copy())
 
     def __call__(self, curves: Curves, meeting: Meeting | None = None, v: FloatArray | None = None) -> Enrichment:
         """By curves where they are (collective).
@@ -112,30 +122,27 @@ class Enriching:
             meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
             v: velocities of their points, shape (points, d); unit: length/time. None: they rest.
         """
-        phi = self._distances(curves)
+        phi, near = self._distances(curves)
         if meeting is not None:
             phi = self._on_line(self._centred(phi, meeting))
-        cut = self._real(CutCells.of(self.vertices, phi), curves)
-        mine = cut.only(cut.cells < self._owned)
-        negative = self.vertices[mine.cells]
-        other = np.where(phi[negative] < 0.0, 1.0 - mine.negative_share[:, None], mine.negative_share[:, None])
-        other = self._total(mine.cells, other * self._areas[mine.cells, None])
+        cut = CutCells.of(self.vertices, phi)
+        lengths, share = self._lines(cut, curves)
+        real, nodes = lengths >= 0.0, self.vertices[cut.cells]
+        mine = np.where(real & (cut.cells < self._owned), 1.0, 0.0)[:, None]
+        other = np.where(cut.values < 0.0, 1.0 - cut.negative_share[:, None], cut.negative_share[:, None])
+        other = self._total(nodes, mine * other * self._areas[cut.cells, None])
         jump = (other > DIVIDED * self._support) & (other < (1.0 - DIVIDED) * self._support)
-        covered = self._covered(mine, curves)
+        whole, found = lengths[:, None] * mine, (lengths * share)[:, None] * mine
+        of_nodes = np.broadcast_to(whole, nodes.shape), np.broadcast_to(found, nodes.shape)
+        whole, found = (self._total(nodes, values) for values in of_nodes)
+        covered = found >= COVERED * (1.0 - ROUNDED) * whole
         jump &= covered
         kink = np.zeros_like(jump)
         if self._kinked:
-            bent = np.repeat(mine.smaller_share[:, None] > SLIVER, 3, axis=1)
-            kink = (self._total(mine.cells, bent.astype(np.float64)) > 0.0) & covered
-        concerned = (jump | kink)[self.vertices[cut.cells]].any(axis=1)
-        cut = cut.only(concerned)
-        return Enrichment(phi, cut, jump, kink, None if v is None else self._velocity(cut, curves, v))
-
-    def _velocity(self, cut: CutCells, curves: Curves, v: FloatArray) -> FloatArray:
-        """Velocities of curves at the nodes of cut cells."""
-        velocity, nodes = np.zeros(self.x.shape), np.unique(self.vertices[cut.cells])
-        velocity[nodes] = curves.at_nearest(self.x[nodes], v, REACH * self._largest)
-        return velocity
+            bent = mine * (cut.smaller_share[:, None] > SLIVER)
+            kink = (self._total(nodes, np.broadcast_to(bent, nodes.shape)) > 0.0) & covered
+        concerned = (jump | kink)[nodes].any(axis=1)
+        return Enrichment(phi, cut.only(real & concerned), jump, kink, None if v is None else near.values(v))
 
     def _centred(self, phi: FloatArray, meeting: Meeting) -> FloatArray:
         """Values with a zero line from which the curve departs to both sides alike (collective).
@@ -143,30 +150,23 @@ class Enriching:
         The line between points of a bent curve is on its inner side, and a jump of the pressure there makes a pair with
         the forces on the curve.
         """
-        (E, areas), nodes = meeting.penalty, meeting.trace.nodes
-        cells = meeting.location.cells
-        spread = np.where(cells >= 0, np.ptp(phi[self.vertices[cells]], axis=1), 0.0)
+        (E, areas), nodes, cells = meeting.penalty, meeting.trace.nodes, meeting.location.cells
+        E_t, values = E.T, phi[self.vertices[cells]]
+        spread = np.where(cells >= 0, values.max(axis=1) - values.min(axis=1), 0.0)
         for _ in range(CORRECTIONS):
             off = E @ phi[nodes]
-            off = np.where(np.abs(off) <= ALONG * spread, 0.0, off)
-            w = np.where(np.abs(off) <= BESIDE * spread, areas, 0.0)
-            area, sums = self._summed(nodes, E.T @ w), self._summed(nodes, E.T @ (w * off))
+            size = np.abs(off)
+            off[size <= ALONG * spread] = 0.0
+            w = np.where(size <= BESIDE * spread, areas, 0.0)
+            area, sums = (self._total(nodes, E_t @ values) for values in (w, w * off))
             phi = phi - np.divide(sums, area, out=np.zeros_like(sums), where=area > 0.0)
         return phi
-
-    def _summed(self, nodes: Any, values: FloatArray) -> FloatArray:
-        """At all nodes the sums over the ranks of values at some (collective)."""
-        array = self._sum.x.array
-        array[:] = 0.0
-        array[nodes] = values
-        compat.accumulate(self._sum)
-        return np.asarray(array.copy())
 
     def _on_line(self, phi: FloatArray) -> FloatArray:
         """Values of which those are zero that rounding alone keeps from it: 0 counts as positive on every rank."""
         return np.where(np.abs(phi) <= ON_LINE * self._largest, 0.0, phi)
 
-    def _distances(self, curves: Curves) -> FloatArray:
+    def _distances(self, curves: Curves) -> tuple[FloatArray, Nearest]:
         """Signed distances of the nodes, by normals of which those of different curves agree (collective).
 
         Half way between two curves the side changes for no reason where their normals do not, and which way they are
@@ -174,51 +174,50 @@ class Enriching:
         neighbourhood of the one into that of the other most stay on one side, or have two sides where they cross a
         curve or its continuation: two curves in one cell are as good as one. The first curve keeps its normals.
         """
-        phi, nearest = curves.sides(self.x, NEAR * self._largest, self._tree)
-        ends = np.flatnonzero(curves.near_ends(self.x, REACH * self._largest, self._tree))
-        phi[ends], nearest[ends] = curves.sides(self.x[ends], REACH * self._largest)
-        phi = self._on_line(phi)
-        number = int(curves.curve.max(initial=-1)) + 1
+        far, tree = REACH * self._largest, self._tree
+        at_ends = Sought(curves.near_ends(self.x, far, tree), far)
+        near = curves.nearest(self.x, Sought(self._every, NEAR * self._largest, tree), at_ends)
+        phi = self._on_line(near.signed_distance())
+        number = int(curves.chain.curve.max(initial=-1)) + 1
         if number < 2:
-            return phi
+            return phi, near
         edges = self.vertices[: self._owned][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        nearest = near.curve()
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
         edges, a, b = edges[between], a[between], b[between]
         negative = phi[edges] < 0.0
-        apart = curves.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], REACH * self._largest)
+        apart = curves.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far)
         votes = np.zeros((number, number))
         np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, 1.0, -1.0))
-        self._sum.function_space.mesh.comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
+        self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
         turned = agreeing(votes + votes.T)
-        return np.where(nearest < 0, phi, turned[nearest] * phi)
+        return np.where(nearest < 0, phi, turned[nearest] * phi), near
 
-    def _real(self, cut: CutCells, curves: Curves) -> CutCells:
-        """Those that a curve or its continuation cuts, not the middle line between two curves that are elsewhere."""
-        middle = cut.line(self.corners).mean(axis=1)
-        off = np.abs(curves.signed_distance(middle, OFF_LINE * NEAR * self._largest))
+    def _lines(self, cut: CutCells, curves: Curves) -> tuple[FloatArray, FloatArray]:
+        """Lengths of the zero line in cut cells, and the shares of them that the curve covers, shape (cut,).
+
+        A length is -1 where no curve or its continuation cuts the cell, but the middle line between two curves that are
+        elsewhere.
+        """
+        ends, n = cut.line(self.corners), len(cut.cells)
+        arms, middle = ends[:, 1] - ends[:, 0], 0.5 * (ends[:, 0] + ends[:, 1])
+        close = curves.near_ends(middle, 2.0 * self._largest)
+        at = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
+        samples = (ends[close, None, 0] + at * arms[close, None]).reshape(-1, middle.shape[1])
+        x, in_middle = np.concatenate([middle, samples]), Sought(np.arange(n), OFF_LINE * NEAR * self._largest)
+        near = curves.nearest(x, in_middle, Sought(np.arange(n, len(x)), REACH * self._largest))
+        covered = near.covered().astype(np.float64)
+        share = covered[:n]
+        share[close] = covered[n:].reshape(-1, SAMPLES).mean(axis=1)
+        off = np.abs(near.signed_distance()[:n])
         real = off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0)
         rest = np.flatnonzero(~real)
         corners, negative = self.corners[cut.cells[rest]], cut.values[rest] < 0.0
         for a, b in ((0, 1), (1, 2), (2, 0)):
             crossed = curves.crossed(corners[:, a], corners[:, b], REACH * self._largest)
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
-        return cut.only(real)
-
-    def _covered(self, cut: CutCells, curves: Curves) -> Any:
-        """Mask of the nodes in whose cells the curve covers enough of the zero line (collective)."""
-        ends = cut.line(self.corners)
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        middle = ends.mean(axis=1)
-        share = curves.covers(middle, OFF_LINE * NEAR * self._largest).astype(np.float64)
-        near = np.flatnonzero(curves.near_ends(middle, 2.0 * self._largest))
-        at = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
-        x = ends[near, None, 0] + at * (ends[near, None, 1] - ends[near, None, 0])
-        covered = curves.covers(x.reshape(-1, x.shape[2]), REACH * self._largest)
-        share[near] = covered.reshape(-1, SAMPLES).mean(axis=1)
-        whole = self._total(cut.cells, np.repeat(lengths[:, None], 3, axis=1))
-        found = self._total(cut.cells, np.repeat((lengths * share)[:, None], 3, axis=1))
-        return found >= COVERED * (1.0 - ROUNDED) * whole
+        return np.where(real, np.sqrt(np.einsum("ci,ci->c", arms, arms)), -1.0), share
 
 
 def agreeing(votes: FloatArray) -> FloatArray:

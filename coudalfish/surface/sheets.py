@@ -6,6 +6,7 @@ patches needs signs that make the normals agree.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,13 +15,60 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
 from shnapr.kinematics import midsurface
-from tigar_x import compat
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.splines.spline import ExtractedSpline
 
 SAME_ROW = 1e-10
 """Difference of normalised rows of the extraction within which two nodes are one place of a joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """How the points of curves hang together.
+
+    Attributes:
+        segments: pairs of neighbouring points, all in one direction along a curve, shape (segments, 2).
+        place: number of the place in which a point is, the same for points that a joint unites, shape (points,).
+    """
+
+    segments: IntArray
+    place: IntArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @cached_property
+    def places(self) -> int:
+        """Number of the places."""
+        return int(self.place.max(initial=-1)) + 1
+
+    @cached_property
+    def ends(self) -> IntArray:
+        """Places at the ends of the segments, shape (segments, 2)."""
+        return self.place[self.segments]
+
+    @cached_property
+    def free(self) -> Any:
+        """Mask of the points at free ends, shape (points,)."""
+        return np.bincount(self.ends.ravel(), minlength=self.places)[self.place] == 1
+
+    @cached_property
+    def curve(self) -> IntArray:
+        """Number of the curve to which a segment belongs, shape (segments,)."""
+        joined = sp.coo_matrix((np.ones(len(self.ends)), self.ends.T), shape=(self.places, self.places))
+        return np.asarray(connected_components(joined, directed=False)[1][self.ends[:, 0]])
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Of values of the segments that meet at a place, at every point, shape (points, k).
+
+        Args:
+            values: shape (segments, k).
+        """
+        ends = self.ends.T.ravel()
+        sums = [np.bincount(ends, np.tile(column, 2), self.places) for column in values.T]
+        return np.stack(sums, axis=1)[self.place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +138,12 @@ class Sheets:
                 turn = turns[before[k], k] + turns[k, before[k]]
                 sign[k] = np.copysign(1.0, turn) * sign[before[k]]
         return sign[patch]
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The points as those of curves, all in one direction where patches are joined."""
+        turned = self.sign[self.cells[:, 0]] < 0.0
+        return Chain(np.where(turned[:, None], self.cells[:, ::-1], self.cells), self.places)
 
     def _turns(self, patch: IntArray) -> sp.csr_matrix:
         """Positive for pairs of patches whose normals agree at their joints, negative for those that do not."""
