@@ -117,7 +117,7 @@ def test_values_half_way_between_mirrored_curves_are_mirrored():
     v = np.column_stack([np.ones(len(curves.x)), np.where(curves.x[:, 1] < 0.5, 2.0, -2.0)])
     x = np.array([[0.3, 0.5], [0.7, 0.5], [0.3, 0.49], [0.3, 0.51]])
     expected = [[1.0, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, -2.0]]
-    np.testing.assert_allclose(curves.at_nearest(x, v, 1.0), expected, atol=1e-14)
+    np.testing.assert_allclose(nearest(curves, x, 1.0).values(v), expected, atol=1e-14)
 
 
 def test_zero_counts_as_positive_and_what_is_unknown_is_not_cut():

@@ -17,8 +17,8 @@ def met(curves, n=10):
     """Enriching of the unit square, and how curves meet it by the exact trace."""
     domain = mesh.create_unit_square(MPI.COMM_WORLD, n, n)
     space = compat.lagrange_space(domain, 1)
-    lengths = np.linalg.norm(np.diff(curves.x[curves.segments], axis=1)[:, 0], axis=1)
-    found = MeetsByAverages(space, curves.segments, lengths, len(curves.x))(curves.x, PointLocator(domain))
+    lengths = np.linalg.norm(np.diff(curves.x[curves.chain.segments], axis=1)[:, 0], axis=1)
+    found = MeetsByAverages(space, curves.chain.segments, lengths, len(curves.x))(curves.x, PointLocator(domain))
     return Enriching(space, kinked=True), found
 
 

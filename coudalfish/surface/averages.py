@@ -7,6 +7,7 @@ the integrand is a polynomial. A curve that is moved a little feels a little cha
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,20 +29,25 @@ class ByAverages:
     """A curve in a step whose points see averages, see :class:`coudalfish.surface.meeting.Meeting`.
 
     Attributes:
-        trace: averages at the points of nodal velocities.
         W: areas of the hat functions in the fluid, shape (points,).
         location: quadrature points of the pieces.
         penalty: nodal velocities at the quadrature points, and their areas, zero outside the fluid.
+        seen: see :class:`coudalfish.surface.meeting.Meeting`.
         means: from values at quadrature points to averages, shape (points, quadrature points).
         locator: of the fluid's mesh.
     """
 
-    trace: TraceMatrix
     W: FloatArray
     location: Location
     penalty: tuple[sp.csr_matrix, FloatArray]
+    seen: IntArray
     means: sp.csr_matrix
     locator: PointLocator
+
+    @cached_property
+    def trace(self) -> TraceMatrix:
+        """Averages at the points of nodal velocities."""
+        return TraceMatrix(self.means @ self.penalty[0], self.seen)
 
     @property
     def active(self) -> Any:
@@ -101,14 +107,8 @@ class MeetsByAverages:
         location = locator.locate(a[segment] + at[:, None] * (b - a)[segment])
         weights = np.where(location.active, reference, 0.0)
         fine = trace_matrix(self._space, location)
-        hats = self._hats(segment, at)
-        W = hats.T @ weights
-        W[TOUCHING * self._whole > W] = 0.0
-        inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
-        means = (sp.diags(inverse) @ hats.T @ sp.diags(weights)).tocsr()
-        return ByAverages(
-            TraceMatrix((means @ fine.B).tocsr(), fine.nodes), W, location, (fine.B, weights), means, locator
-        )
+        W, means = self._means(segment, at, weights)
+        return ByAverages(W, location, (fine.B, weights), fine.nodes, means, locator)
 
     def _cells_of(self, locator: PointLocator) -> CellsNearby:
         """Made once for a mesh, and again when it has moved."""
@@ -124,8 +124,14 @@ class MeetsByAverages:
         areas = (self._lengths[pieces.segment][:, None] * size * self._weights).ravel()
         return np.repeat(pieces.segment, len(self._at)), at, areas
 
-    def _hats(self, segment: IntArray, at: FloatArray) -> sp.csr_matrix:
-        """Hat functions of the points, shape (quadrature points, points)."""
-        values, columns = np.column_stack([1.0 - at, at]), self._segments[segment]
-        starts = np.arange(0, 2 * len(at) + 1, 2)
-        return sp.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(at), self._points))
+    def _means(self, segment: IntArray, at: FloatArray, weights: FloatArray) -> tuple[FloatArray, sp.csr_matrix]:
+        """Areas of the hat functions of the points, and averages over them of values at quadrature points."""
+        point = self._segments[segment].ravel()
+        areas = np.column_stack([(1.0 - at) * weights, at * weights]).ravel()
+        W = np.asarray(np.bincount(point, areas, self._points), dtype=np.float64)
+        W[TOUCHING * self._whole > W] = 0.0
+        inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
+        order = np.argsort(point.astype(np.uint16) if self._points < 2**16 else point, kind="stable")
+        starts = np.append(0, np.cumsum(np.bincount(point, minlength=self._points))).astype(np.int32)
+        data = (areas * inverse[point])[order]
+        return W, sp.csr_matrix((data, (order // 2).astype(np.int32), starts), shape=(self._points, len(at)))

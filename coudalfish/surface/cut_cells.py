@@ -94,22 +94,28 @@ class SideWeights:
     """
 
     def __init__(self, degree: int, points: FloatArray) -> None:
-        self._degree = checks.whole("degree", degree, 0)
+        degree = checks.whole("degree", degree, 0)
+        powers = [(i, n - i) for n in range(degree + 1) for i in range(n + 1)]
+        self._degree, self._powers = degree, np.array(powers).T
         x, weights = _rule(2 * degree)
         V = self._monomials(x)
         self._from_moments = self._monomials(points) @ np.linalg.inv(V.T @ (weights[:, None] * V))
         self._whole = V.T @ weights
-        self._x, self._weights = _rule(max(degree, 1))
+        x, self._weights = _rule(max(degree, 1))
+        self._barycentric = np.column_stack([1.0 - x.sum(axis=1), x])
 
     def _monomials(self, x: FloatArray) -> FloatArray:
         """About the middle of the triangle, shape (..., monomials)."""
-        a, b = x[..., 0] - 1.0 / 3.0, x[..., 1] - 1.0 / 3.0
-        return np.stack([a**i * b ** (n - i) for n in range(self._degree + 1) for i in range(n + 1)], axis=-1)
+        y = np.moveaxis(x, -1, 0) - 1.0 / 3.0
+        powers = np.ones((self._degree + 1, *y.shape))
+        for n in range(self._degree):
+            np.multiply(powers[n], y, out=powers[n + 1])
+        a, b = self._powers
+        return np.moveaxis(powers[a, 0] * powers[b, 1], 0, -1)
 
     def __call__(self, cut: CutCells) -> FloatArray:
         """Weights at the points, shape (cut, points)."""
-        barycentric = np.column_stack([1.0 - self._x.sum(axis=1), self._x])
-        x = np.einsum("gm,cmv->cgv", barycentric, cut.corner)[..., 1:]
+        x = (self._barycentric @ cut.corner)[..., 1:]
         _, of_negative = cut._alone
         share = np.where(of_negative, cut.negative_share, 1.0 - cut.negative_share)
         moments = np.einsum("g,cgm->cm", self._weights, self._monomials(x)) * share[:, None]

@@ -107,7 +107,7 @@ class Enriching:
 
     def _total(self, nodes: IntArray, values: FloatArray) -> FloatArray:
         """Sums at all nodes, over the ranks, of values at some of them, which may be the same (collective)."""
-        sums = np.bincount(nodes.ravel(), values.ravel(), len(self.x))
+        sums = np.asarray(np.bincount(nodes.ravel(), values.ravel(), len(self.x)), dtype=np.float64)
         if self._comm.size == 1:
             return sums
         self._sum.x.array[:] = sums
@@ -150,7 +150,7 @@ class Enriching:
         The line between points of a bent curve is on its inner side, and a jump of the pressure there makes a pair with
         the forces on the curve.
         """
-        (E, areas), nodes, cells = meeting.penalty, meeting.trace.nodes, meeting.location.cells
+        (E, areas), nodes, cells = meeting.penalty, meeting.seen, meeting.location.cells
         E_t, values = E.T, phi[self.vertices[cells]]
         spread = np.where(cells >= 0, values.max(axis=1) - values.min(axis=1), 0.0)
         for _ in range(CORRECTIONS):

@@ -12,8 +12,9 @@ import scipy.sparse as sp
 from dolfinx import fem
 
 from coudalfish.surface.meeting import Meeting
-from coudalfish.surface.trace import Location, TraceMatrix, trace_matrix
-from tigar_x.compat import FloatArray
+from coudalfish.surface.trace import Location, TraceMatrix
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +42,35 @@ class KinkedMeeting:
         Args:
             plain: the meeting of the surface where it is.
             space: scalar linear space of one component of the velocity.
-            location: its places, on the zero line in divided cells.
+            location: its places, on the zero line in divided cells; in the same cells.
             phi: signed distance at the nodes over the length of kinks, of any value where none is near, shape (nodes,).
             kink: mask of the nodes that have one, shape (nodes,).
         """
-        (_, w), fine = plain.penalty, trace_matrix(space, location)
-        E, nodes = fine.B, fine.nodes
-        values, chosen = phi[nodes], kink[nodes]
-        psi = E @ np.abs(values) - np.abs(E @ values)
-        E = sp.hstack([E, sp.diags(psi) @ E[:, chosen]], format="csr")
-        nodes = np.concatenate([nodes, len(phi) + nodes[chosen]]).astype(nodes.dtype)
-        B = E if plain.means is None else (plain.means @ E).tocsr()
+        (at, w), seen, each = plain.penalty, plain.seen, space.mesh.geometry.dim + 1
+        values, column = compat.tabulate(space, location.barycentric[location.owned, 1:]), at.indices.reshape(-1, each)
+        phi, kinked = phi[seen], kink[seen]
+        of_nodes = phi[column]
+        psi = np.einsum("pi,pi->p", values, np.abs(of_nodes)) - np.abs(np.einsum("pi,pi->p", values, of_nodes))
+        second = len(seen) - 1 + np.cumsum(kinked)  # the column of a node's kink
+        there = np.ones((len(column), 2 * each), dtype=bool)
+        there[:, each:] = kinked[column]
+        starts = np.zeros(len(location.cells) + 1, dtype=np.int32)
+        starts[1:][location.owned] = there.sum(axis=1)
+        columns = np.hstack([column, second[column]])[there].astype(np.int32)
+        nodes = np.concatenate([seen, len(kink) + seen[kinked]]).astype(seen.dtype)
+        data = np.hstack([values, psi[:, None] * values])[there]
+        E = sp.csr_matrix((data, columns, np.cumsum(starts)), shape=(len(starts) - 1, len(nodes)))
+        B = E if plain.means is None else plain.means @ E
         return cls(plain, location, TraceMatrix(B, nodes), (E, w))
 
     @property
-    def W(self) -> FloatArray:
+    def seen(self) -> IntArray:
         """See :class:`coudalfish.surface.meeting.Meeting`."""
+        return self.trace.nodes
+
+    @property
+    def W(self) -> FloatArray:
+        """See there."""
         return self.plain.W
 
     @property
@@ -88,9 +102,12 @@ def onto_zero_line(location: Location, phi: FloatArray, corners: FloatArray, div
     here = np.flatnonzero(location.owned)
     here = here[divided[location.cells[here]]]
     cells, at = location.cells[here], location.barycentric.copy()
-    two = np.linalg.inv(corners[cells, 1:] - corners[cells, :1])  # gradients of barycentric coordinates, as columns
-    slopes = np.concatenate([-two.sum(axis=2, keepdims=True), two], axis=2)
-    gradient = np.einsum("cdi,ci->cd", slopes, phi[cells])
-    steps = np.einsum("ci,ci->c", at[here], phi[cells]) / np.einsum("cd,cd->c", gradient, gradient)
-    at[here] -= steps[:, None] * np.einsum("cdi,cd->ci", slopes, gradient)
+    values, x = phi[cells], corners[cells]
+    (p, q), (r, s) = (x[:, 1] - x[:, 0]).T, (x[:, 2] - x[:, 0]).T
+    # gradients of the barycentric coordinates of the vertices but the first
+    second, third = np.stack([s, -r]) / (p * s - q * r), np.stack([-q, p]) / (p * s - q * r)
+    slopes = np.stack([-second - third, second, third], axis=-1)
+    gradient = np.einsum("dci,ci->dc", slopes, values)
+    steps = np.einsum("ci,ci->c", at[here], values) / np.einsum("dc,dc->c", gradient, gradient)
+    at[here] -= steps[:, None] * np.einsum("dci,dc->ci", slopes, gradient)
     return Location(location.cells, at, location.active)

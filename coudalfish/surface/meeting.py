@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import Location, PointLocator, TraceMatrix, trace_matrix
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 
 
 class Meeting(Protocol):
@@ -38,6 +38,10 @@ class Meeting(Protocol):
     @property
     def penalty(self) -> tuple[sp.csr_matrix, FloatArray]:
         """Matrix E and areas w of a penalty's tangent ``E^T diag(beta w) E``, of the columns of the trace."""
+
+    @property
+    def seen(self) -> IntArray:
+        """Local nodes of the velocity space that the columns of E, and of the trace, stand for."""
 
     @property
     def means(self) -> sp.csr_matrix | None:
@@ -84,6 +88,11 @@ class AtPoints:
     def penalty(self) -> tuple[sp.csr_matrix, FloatArray]:
         """See :class:`Meeting`."""
         return self.trace.B, self.W
+
+    @property
+    def seen(self) -> IntArray:
+        """See there."""
+        return self.trace.nodes
 
     @property
     def means(self) -> None:

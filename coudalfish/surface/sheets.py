@@ -68,7 +68,7 @@ class Chain:
         """
         ends = self.ends.T.ravel()
         sums = [np.bincount(ends, np.tile(column, 2), self.places) for column in values.T]
-        return np.stack(sums, axis=1)[self.place]
+        return np.asarray(np.stack(sums, axis=1)[self.place], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,34 +35,32 @@ class WallWeights:
         self._on_wall = np.zeros((len(vertices), 3), dtype=bool)
         self._on_wall[cells, (~inside).argmax(axis=1)] = True
         places = np.column_stack([1.0 - points.sum(axis=1), points])
-        self._nodes = [np.flatnonzero(np.abs(places[:, k]) < ON_EDGE) for k in range(3)]
-        self._along = [places[nodes, b] for nodes, (_, b) in zip(self._nodes, EDGES, strict=True)]
-        self._powers, self._count = np.arange(degree + 1), len(points)
+        on_edge = np.abs(places.T) < ON_EDGE  # (sides, nodes)
+        n, both = np.arange(degree + 1), np.arange(degree + 1) + np.arange(degree + 1)[:, None]
+        mass, self._whole = _integral(np.ones(1), both.ravel()).reshape(both.shape), _integral(np.ones(1), n)
+        along = places[:, [b for _, b in EDGES]].T - 0.5
+        values = np.linalg.solve(mass, along[:, None] ** n[:, None])
+        self._projection, self._counts = values * on_edge[:, None], on_edge.astype(np.float64)
+        self._powers, (self._first, self._last) = n, np.array(EDGES).T
 
     def __call__(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
         """Those cut cells that have a side on the boundary, and values at their nodes, shape (found, nodes)."""
-        on_wall = self._on_wall[cut.cells]
-        found = np.flatnonzero(on_wall.any(axis=1))
-        sums, counts = np.zeros((2, len(found), self._count))
-        for k, (a, b) in enumerate(EDGES):
-            here = np.flatnonzero(on_wall[found, k])
-            values = cut.values[found[here]]
-            places = np.ix_(here, self._nodes[k])
-            sums[places] += self._negative(values[:, a], values[:, b], self._along[k])
-            counts[places] += 1.0
-        return cut.cells[found], sums / np.maximum(counts, 1.0)
+        cell, side = np.nonzero(self._on_wall[cut.cells])
+        if not len(cell):
+            return cut.cells[:0], np.empty((0, self._counts.shape[1]))
+        starts = np.flatnonzero(np.diff(cell, prepend=-1))
+        a, b = cut.values[cell, self._first[side]], cut.values[cell, self._last[side]]
+        values = np.einsum("sm,smn->sn", self._negative(a, b), self._projection[side])
+        counts = np.add.reduceat(self._counts[side], starts)
+        return cut.cells[cell[starts]], np.add.reduceat(values, starts) / np.maximum(counts, 1.0)
 
-    def _negative(self, a: FloatArray, b: FloatArray, at: FloatArray) -> FloatArray:
-        """Projections of where a linear function is negative, which is a at 0 and b at 1, shape (lines, len(at))."""
-        gap = np.where(a == b, 1.0, a - b)
-        t = np.where((a < 0.0) == (b < 0.0), 1.0, np.clip(a / gap, 0.0, 1.0))
-        n, sums = self._powers, self._powers + self._powers[:, None]
-        mass, whole = self._integral(np.ones(1), sums.ravel()).reshape(sums.shape), self._integral(np.ones(1), n)
-        moments = self._integral(t, n)
-        moments = np.where((a < 0.0)[:, None], moments, whole - moments)
-        return np.asarray(moments @ np.linalg.solve(mass, ((at - 0.5) ** n[:, None])))
+    def _negative(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """Moments of where a linear function is negative, which is a at 0 and b at 1, shape (sides, powers)."""
+        t = np.where((a < 0.0) == (b < 0.0), 1.0, np.clip(a / np.where(a == b, 1.0, a - b), 0.0, 1.0))
+        moments = _integral(t, self._powers)
+        return np.where((a < 0.0)[:, None], moments, self._whole - moments)
 
-    @staticmethod
-    def _integral(t: FloatArray, powers: IntArray) -> FloatArray:
-        """Of powers of the distance from 1/2, from 0 to t, shape (len(t), len(powers))."""
-        return np.asarray(((t[:, None] - 0.5) ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1))
+
+def _integral(t: FloatArray, powers: IntArray) -> FloatArray:
+    """Of powers of the distance from 1/2, from 0 to t, shape (len(t), len(powers))."""
+    return np.asarray(((t[:, None] - 0.5) ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1))
