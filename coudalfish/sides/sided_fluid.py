@@ -104,6 +104,7 @@ class SidedFluid(FluidSubproblem):
             numbers[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(f.function_space)
         sides.length.value = self.mesh_size
         self._found = Enrichment.none(len(self._node))
+        self._weighted = self._cells[:0], self._wall_cells[:0]  # dofs of weights that are not zero
 
     def _make_system(self, residual: ufl.Form, bcs: Any, **options: Any) -> DoubledSystem:
         return DoubledSystem(residual, self.timeInt.x, bcs, self.sides.doubled, **options)
@@ -114,7 +115,7 @@ class SidedFluid(FluidSubproblem):
         """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""
         found = self._enriching(Curves.of(sheets, x), meeting, v if self.sides.is_kinked else None)
         self._divide(found)
-        phi = np.nan_to_num(found.phi)
+        phi = found.known
         divided, (vertices, corners) = self.sides.doubled.cells, (self._enriching.vertices, self._enriching.corners)
         location = onto_zero_line(meeting.location, phi[vertices], corners, divided)
         return KinkedMeeting.of(meeting, self.velocity_space, location, phi / self.mesh_size, found.kink)
@@ -122,13 +123,14 @@ class SidedFluid(FluidSubproblem):
     def _divide(self, found: Enrichment) -> None:
         """Take over what the surface divides (collective)."""
         self._found, sides = found, self.sides
-        phi = np.nan_to_num(found.phi)
+        phi = found.known
         sides.phi.x.array[self._linear], sides.size.x.array[self._linear] = phi, np.abs(phi)
         on_walls, of_walls = self._walls(found.cut)
-        weights = sides.negative, self._cells[found.cut.cells], self._weights(found.cut)
-        for weight, dofs, values in (weights, (sides.wall, self._wall_cells[on_walls], of_walls)):
-            weight.x.array[:] = 0.0
-            weight.x.array[dofs] = values
+        for dofs, weight in zip(self._weighted, (sides.negative, sides.wall), strict=True):
+            weight.x.array[dofs] = 0.0
+        self._weighted = self._cells[found.cut.cells], self._wall_cells[on_walls]
+        sides.negative.x.array[self._weighted[0]] = self._weights(found.cut)
+        sides.wall.x.array[self._weighted[1]] = of_walls
         d, n = self.mesh.geometry.dim, len(self._node)
         v = np.zeros((n, d)) if found.velocity is None else found.velocity
         for f, values in zip(sides.carried, (v, np.where(phi < 0.0, -1.0, 1.0)[:, None] * v), strict=False):
@@ -142,8 +144,10 @@ class SidedFluid(FluidSubproblem):
         divided = np.zeros(len(self._cells), dtype=bool)
         divided[found.cut.cells] = True
         self.timeInt.is_second[:] = second.ravel()  # type: ignore[attr-defined]
+        layout = self.system.layout
         self.system.divide(divided, second, side)
-        self._measure()
+        if self.system.layout != layout:
+            self._measure()
 
     def remember(self) -> Callable[[], None]:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
