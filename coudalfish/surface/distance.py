@@ -242,7 +242,7 @@ class Nearest:
         return result
 
 
-def _grouped(i: IntArray, count: int) -> tuple[IntArray, IntArray, IntArray]:
+def _grouped(i: IntArray, count: int) -> tuple[Any, Any]:
     """An order in which numbers below a count ascend, and which of their different ones each of them is then."""
     there = np.zeros(count, dtype=bool)
     there[i] = True
