@@ -112,13 +112,17 @@ class FluidSubproblem:
         self.mesh_size = median_size(mesh_f) if mesh_size is None else checks.positive("mesh_size", mesh_size)
 
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
-        recipe = chosen(solver, automatic(size * block, blocked=block > 1), "fluid_")
+        recipe = chosen(solver, self._recipe(size * block, blocked=block > 1), "fluid_")
         self.system = self._make_system(
             residual_f, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one, prefix="fluid_"
         )
         self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
         self.trace_dofs, self._reference = self.velocity_dofs, 0.0
         self._measure()
+
+    def _recipe(self, unknowns: int, *, blocked: bool) -> LinearSolver:
+        """Linear solver where the user has chosen none."""
+        return automatic(unknowns, blocked=blocked)
 
     def _make_system(self, residual: ufl.Form, bcs: Sequence[Any], **options: Any) -> FiniteElementSystem:
         return FiniteElementSystem(residual, self.timeInt.x, bcs, **options)

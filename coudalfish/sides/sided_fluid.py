@@ -21,6 +21,7 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.divided import Doubled
 from tigar_x.fem.doubled import DoubledSystem
+from tigar_x.fem.linear import LinearSolver, gmres_ilu
 
 
 class FluidSides(Protocol):
@@ -105,6 +106,10 @@ class SidedFluid(FluidSubproblem):
         sides.length.value = self.mesh_size
         self._found = Enrichment.none(len(self._node))
         self._weighted = self._cells[:0], self._wall_cells[:0]  # dofs of weights that are not zero
+
+    def _recipe(self, unknowns: int, *, blocked: bool) -> LinearSolver:
+        """Iterative however small: what changes its unknowns from step to step cannot keep the analysis of factors."""
+        return gmres_ilu(1)
 
     def _make_system(self, residual: ufl.Form, bcs: Any, **options: Any) -> DoubledSystem:
         return DoubledSystem(residual, self.timeInt.x, bcs, self.sides.doubled, **options)
