@@ -57,7 +57,7 @@ STUDIES: dict[str, Study] = {
         ("flow", "leak"),
         {
             f"Re {re:g}, CFL {cfl:g}, gap {gap:g} h": Slit(gap, re, cfl)
-            for re in (0.5, 10.0)
+            for re in (0.5, 10.0, 27.0, 55.0)
             for cfl in (0.2, 1.0)
             for gap in (1.0, 2.0, 4.0)
         },

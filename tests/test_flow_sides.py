@@ -63,12 +63,32 @@ def test_without_jump_and_kink_the_sides_sum_to_the_whole():
     (v, p, _, _), (w, q, _, _) = scene.parts(scene.u), scene.parts(ufl.TestFunction(scene.V))
     dt = compat.Constant(scene.mesh, DT)
     plain = dict(rho=RHO, mu=MU, v_t=scene.parts(scene.rate)[0], dt=dt, dx=scene.dx)
-    whole = interior_residual(v, p, w, q, scene.mesh, stresses=False, **plain)
+    whole = interior_residual(v, p, w, q, scene.mesh, divided=True, **plain)
     fine = interior_residual(v, p, w, q, scene.mesh, **plain)
     sided, whole, fine = (assembled(f, scene.V).array for f in compat.compile_forms(scene.residual(), whole, fine))
     own = scene.component(0, 1, 2)
     np.testing.assert_allclose(sided[own], whole[own], atol=1e-12)
     assert np.abs(fine[own] - whole[own]).max() > 1e-4
+
+
+def test_in_divided_cells_half_of_tau_pushes_the_mass_whatever_the_time_step():
+    """What two slopes of the pressure at rest drive: tau_M times it, which in other cells is as good as dt/2."""
+    scene = Scene()
+    (v, p, _, _), (w, q, _, _) = scene.parts(scene.u), scene.parts(ufl.TestFunction(scene.V))
+    scene.u.x.array[:] = 0.0
+    randomise(scene.u, 3)
+    scene.u.x.array[scene.component(0, 1, 3, 4, 5)] = 0.0
+    rest, pressure = ufl.as_vector([0.0, 0.0]), scene.component(2)
+
+    def driven(dt, **options):
+        known = dict(rho=RHO, mu=MU, v_t=rest, dt=compat.Constant(scene.mesh, dt), dx=scene.dx)
+        form = interior_residual(v, p, w, q, scene.mesh, **known, **options)
+        return assembled(compat.compile_forms(form)[0], scene.V).array[pressure].copy()
+
+    half, slow = driven(1e-4, divided=True), driven(1e6)
+    np.testing.assert_allclose(half, driven(1e6, divided=True), rtol=1e-10)
+    np.testing.assert_allclose(half, 0.5 * slow, atol=1e-6 * np.abs(slow).max())
+    assert np.abs(driven(1e-4)).max() < 0.1 * np.abs(half).max()
 
 
 def test_a_pressure_that_jumps_pushes_the_line_and_nothing_else():

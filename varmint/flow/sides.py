@@ -24,7 +24,6 @@ from varmint.flow.state import FlowState
 from varmint.flow.terms import Interior, Term
 from varmint.forms.sides import SIGNS, Sides, sided_residual, weighted
 from varmint.forms.space import split
-from varmint.forms.vms import Memory
 
 DEGREE = {"jump": 2, "jump and kink": 4}
 """What may differ on both sides, and the degree of the polynomials that weights of sides integrate exactly: that of the
@@ -180,8 +179,6 @@ class FlowSides(SidedValues):
         known = interior.data(None)
         for name in ("v_t", "scale_m", "scale_c", "motion"):
             del known[name]
-        if known["memory"] is not None:  # what a cell would remember belongs to the sides of another step
-            known["memory"] = Memory(0.0, ufl.zero(state.mesh.domain.geometry.dim))
         return sided_residual(
             self._sides(self.negative), self._parts(both.x_alpha), self._tests, (u_t, a_t),
             state.mesh.domain, dx=state.mesh.dx(degree=self._degree), **known,

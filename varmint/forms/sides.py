@@ -105,9 +105,10 @@ def sided_residual(
 ) -> ufl.Form:
     """Residual in cells that are divided: Galerkin terms, SUPG, PSPG and grad-div on either side.
 
-    Cross stress and Reynolds stress are left out, with which impulsive starts fail. Kinks in cells of which one side is
-    small are as good as free, and are therefore smoothed by ``smoothing mu (h/l)^2 grad a : grad b`` over whole
-    cells.
+    Cross stress and Reynolds stress are left out, with which impulsive starts fail. About half of what flows through a
+    gap of one cell between two ends is mass flux of PSPG, tau_M times slopes of the pressure: so tau_M does not know
+    the time step here, and is half of what it is elsewhere. Kinks in cells of which one side is small are as good as
+    free, and are therefore smoothed by ``smoothing mu (h/l)^2 grad a : grad b`` over whole cells.
 
     Args:
         sides: the sides.
@@ -129,7 +130,7 @@ def sided_residual(
     for s in SIGNS:
         fields = *sides.fields((u, p, a, j), s), *sides.fields((w, q, b, k), s)
         rate = sides.rate(u_t, a_t, a, s)
-        side = interior_residual(*fields, domain, rho=rho, mu=mu, v_t=rate, dx=dx, stresses=False, **known)
+        side = interior_residual(*fields, domain, rho=rho, mu=mu, v_t=rate, dx=dx, divided=True, **known)
         residual += weighted(side, sides.weight(s))
     if a is None:
         return residual

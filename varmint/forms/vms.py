@@ -6,6 +6,7 @@ simplices) is not in the form.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import ufl
@@ -15,6 +16,8 @@ from varmint.forms.ale import Motion, advection, divergence, gradient, per_volum
 
 EPSILON = 3e-16
 """Keeps the square root in tau_M differentiable where everything in it vanishes."""
+DIVIDED = 0.5
+"""Factor of tau_M, which goes with the area, in cells that are divided: what a side has of the area on average."""
 
 
 def stress(v: Any, p: Any, mu: Any, motion: Motion | None = None) -> Any:
@@ -182,6 +185,7 @@ def fine_scales(
     invariant: bool = False,
     v_tau: Any = None,
     memory: Memory | None = None,
+    divided: bool = False,
 ) -> tuple[Any, Any]:
     """What the mesh does not resolve, modelled by the strong residuals.
 
@@ -207,25 +211,22 @@ def fine_scales(
         invariant: see there.
         v_tau: see there.
         memory: of dynamic sub-scales, which have no use for dt and C_t; None: they are quasi-static.
+        divided: see there.
 
     Returns:
         rho times the velocity v', shape (d,), and the pressure p'.
     """
-    curved = motion is not None and motion.degree > 1
-    simple = is_linear_simplex(domain, degree) and not curved
+    simple = is_linear_simplex(domain, degree) and (motion is None or motion.degree == 1)
     r_M = momentum_residual(v, p, rho=rho, mu=mu, linear_simplex=simple, v_t=v_t, f=f, motion=motion)
-    constant = default_C_I(degree) if C_I is None else C_I
-    tau_M, tau_C = stabilization_parameters(
-        advection(v if v_tau is None else v_tau, motion),
-        element_metric(domain, motion, invariant=invariant),
-        nu=mu / rho,
-        dt=dt if memory is None else None,
-        C_I=constant,
-        C_t=C_t,
-        scale_m=scale_m,
-        scale_c=scale_c,
-    )
+    tau = partial(
+        stabilization_parameters, advection(v if v_tau is None else v_tau, motion),
+        element_metric(domain, motion, invariant=invariant), nu=mu / rho,
+        C_I=default_C_I(degree) if C_I is None else C_I, C_t=C_t, scale_m=scale_m, scale_c=scale_c,
+    )  # fmt: skip
+    tau_M, tau_C = tau(dt=dt if memory is None else None)
     p_fine = -tau_C * rho * divergence(v, motion)
+    if divided:
+        return -DIVIDED * tau(dt=None)[0] * r_M, p_fine
     if memory is None:
         return -tau_M * r_M, p_fine
     return (memory.past - r_M) * (tau_M / (1 + memory.rate * tau_M)), p_fine
@@ -252,6 +253,7 @@ def interior_residual(
     invariant: bool = False,
     v_tau: Any = None,
     memory: Memory | None = None,
+    divided: bool = False,
     stresses: bool = True,
     quadrature_degree: int | None = None,
     dx: ufl.Measure | None = None,
@@ -278,6 +280,7 @@ def interior_residual(
         invariant: see :func:`element_metric`.
         v_tau: velocity in tau_M and tau_C; None: v. See :func:`frozen_tangent`.
         memory: of dynamic sub-scales, see :func:`fine_scales`; None: they are quasi-static.
+        divided: whether a surface divides the cells: v' has no rate, tau_M no time step, and there are no stresses.
         stresses: whether cross and Reynolds stress are there; with a memory they make unresolved flow diverge.
         quadrature_degree: None: 2 k, and 2 more for every degree of a mesh's displacement above 1.
         dx: cells to integrate over, with their quadrature; None: all.
@@ -286,15 +289,13 @@ def interior_residual(
         Residual form.
 
     Raises:
-        ValueError: a number out of range, v or f of a wrong shape, v_t without dt or dt without v_t, or a measure that
-            is not one of the mesh's cells.
+        ValueError: a number out of range, a wrong shape, one of v_t and dt alone, or a dx of no cells of the mesh.
     """
     k = checks.whole("degree", degree, 1)
     _check_numbers(rho=rho, mu=mu, dt=dt, C_I=C_I, C_t=C_t, scale_m=scale_m, scale_c=scale_c)
     _check_fields(v, v_t, dt, domain.geometry.dim)
     if f is not None:
         f = checks.vector("f", f, *v.ufl_shape)
-
     if dx is None:
         extra = 2 * (motion.degree - 1) if motion is not None else 0
         degree_q = 2 * k + extra if quadrature_degree is None else quadrature_degree
@@ -302,13 +303,13 @@ def interior_residual(
     checks.measure("dx", dx, domain, "cell")
     v_fine, p_fine = fine_scales(
         v, p, domain, rho=rho, mu=mu, degree=k, v_t=v_t, f=f, dt=dt, C_I=C_I, C_t=C_t, scale_m=scale_m,
-        scale_c=scale_c, motion=motion, invariant=invariant, v_tau=v_tau, memory=memory,
+        scale_c=scale_c, motion=motion, invariant=invariant, v_tau=v_tau, memory=memory, divided=divided,
     )  # fmt: skip
     D = material_acceleration(v, v_t=v_t, f=f, motion=motion)
     grad_v, grad_w, div_w = gradient(v, motion), gradient(w, motion), divergence(w, motion)
     galerkin = rho * ufl.inner(D, w) + ufl.inner(stress(v, p, mu, motion), grad_w) + q * divergence(v, motion)
     upwind = ufl.inner(grad_w * advection(v, motion) + gradient(q, motion) / rho, v_fine)
-    if not stresses:
+    if divided or not stresses:
         return per_volume(galerkin - upwind - p_fine * div_w, motion) * dx
     cross_stress = ufl.inner(w, grad_v * v_fine)
     reynolds_stress = ufl.inner(grad_w, ufl.outer(v_fine, v_fine)) / rho
@@ -337,9 +338,8 @@ def frozen_tangent(residual: ufl.Form, x: Any, x_tau: Any) -> ufl.Form:
 def _check_numbers(**numbers: Any) -> None:
     may_vanish = ("mu", "C_I", "C_t", "scale_m")
     for name, value in numbers.items():
-        if value is None and name not in ("rho", "mu", "C_t"):
-            continue
-        checks.parameter(name, value, checks.not_negative if name in may_vanish else checks.positive)
+        if value is not None or name in ("rho", "mu", "C_t"):
+            checks.parameter(name, value, checks.not_negative if name in may_vanish else checks.positive)
 
 
 def _check_fields(v: Any, v_t: Any, dt: Any, d: int) -> None:
