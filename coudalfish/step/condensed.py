@@ -37,6 +37,8 @@ RTOL = 1e-8
 """Residual of the linear solver relative to the first one of the step; 1e-6 is too much for closed chambers."""
 ROUNDED = 1e-13
 """Residual relative to the right-hand side below which it is rounding."""
+LEFT = 0.1
+"""Part of the right-hand side that is left at most: a pass that is taken for the slip alone has to lessen it."""
 ITERATIONS = 200
 """Iterations of the linear solver after which it has failed."""
 
@@ -241,7 +243,7 @@ class CondensedSystem:
             self.increment.set(0.0)
             self.iterations = 0
             return norm, np.zeros(self._functions)
-        smallest = max(min(RTOL * max(norm, reference), 0.1 * accepted), ROUNDED * norm)
+        smallest = max(min(RTOL * max(norm, reference), 0.1 * accepted, LEFT * norm), ROUNDED * norm)
         self._ksp.setTolerances(rtol=0.0, atol=smallest, max_it=ITERATIONS)
         try:
             self._ksp.solve(self._rhs, self._x)

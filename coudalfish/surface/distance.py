@@ -228,10 +228,8 @@ class Nearest:
         first, last = self.curves.chain.segments[self.segment].T
         at = self.along / self.curves.tangents[1][self.segment]
         at = np.where(self._beyond, at, np.clip(at, 0.0, 1.0))[:, None]
-        values, count = (
-            (1.0 - at) * of_points[first] + at * of_points[last],
-            np.bincount(self.point, minlength=self.count),
-        )
+        values = (1.0 - at) * of_points[first] + at * of_points[last]
+        count = np.bincount(self.point, minlength=self.count)
         sums = np.stack([np.bincount(self.point, column, self.count) for column in values.T], axis=1)
         return np.asarray(sums / np.maximum(count, 1)[:, None])
 
