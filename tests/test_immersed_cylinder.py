@@ -70,6 +70,13 @@ def test_fields_that_jump_and_bend_do_not_know_the_time_step(steady):
     assert pressures[1] == pytest.approx(pressures[0], rel=1e-2)
 
 
+def test_fields_that_jump_and_bend_start_at_once_with_steps_far_shorter_than_the_cells_own_time(steady):
+    """The step is a fiftieth of tau_M; half of that in divided cells alone takes 15 passes a step, and cut ones."""
+    _, past, summary = steady(cells=10, dt=1e-3, until=6e-3, preset="sharp")
+    assert summary["steps"] == 6
+    assert past["passes"].max() <= 4
+
+
 def test_nothing_gets_through_a_closed_curve_with_a_converged_multiplier(steady):
     """The default lets some fluid in that the stabilisation's mass balance loses inside."""
     leaks = {p: abs(steady(cells=10, dt=0.2, until=8.0, preset=p)[1]["leak"][-1]) for p in PRESETS}

@@ -16,8 +16,9 @@ from varmint.forms.ale import Motion, advection, divergence, gradient, per_volum
 
 EPSILON = 3e-16
 """Keeps the square root in tau_M differentiable where everything in it vanishes."""
-DIVIDED = 0.5
-"""Factor of tau_M, which goes with the area, in cells that are divided: what a side has of the area on average."""
+DIVIDED, LONGEST = 0.5, 2.0
+"""In cells that are divided: factor of tau_M, which goes with the area, of which a side has half on average, and how
+long it is then at most, in time steps. Much longer ones in some cells alone make pressures unstable: docs/theory.md."""
 
 
 def stress(v: Any, p: Any, mu: Any, motion: Motion | None = None) -> Any:
@@ -226,7 +227,7 @@ def fine_scales(
     tau_M, tau_C = tau(dt=dt if memory is None else None)
     p_fine = -tau_C * rho * divergence(v, motion)
     if divided:
-        return -DIVIDED * tau(dt=None)[0] * r_M, p_fine
+        return -ufl.min_value(DIVIDED * tau(dt=None)[0], LONGEST * dt) * r_M, p_fine
     if memory is None:
         return -tau_M * r_M, p_fine
     return (memory.past - r_M) * (tau_M / (1 + memory.rate * tau_M)), p_fine
@@ -280,7 +281,7 @@ def interior_residual(
         invariant: see :func:`element_metric`.
         v_tau: velocity in tau_M and tau_C; None: v. See :func:`frozen_tangent`.
         memory: of dynamic sub-scales, see :func:`fine_scales`; None: they are quasi-static.
-        divided: whether a surface divides the cells: v' has no rate, tau_M no time step, and there are no stresses.
+        divided: whether a surface divides the cells: v' has no rate, tau_M hardly a step, no stresses; dt is given.
         stresses: whether cross and Reynolds stress are there; with a memory they make unresolved flow diverge.
         quadrature_degree: None: 2 k, and 2 more for every degree of a mesh's displacement above 1.
         dx: cells to integrate over, with their quadrature; None: all.
@@ -294,8 +295,7 @@ def interior_residual(
     k = checks.whole("degree", degree, 1)
     _check_numbers(rho=rho, mu=mu, dt=dt, C_I=C_I, C_t=C_t, scale_m=scale_m, scale_c=scale_c)
     _check_fields(v, v_t, dt, domain.geometry.dim)
-    if f is not None:
-        f = checks.vector("f", f, *v.ufl_shape)
+    f = None if f is None else checks.vector("f", f, *v.ufl_shape)
     if dx is None:
         extra = 2 * (motion.degree - 1) if motion is not None else 0
         degree_q = 2 * k + extra if quadrature_degree is None else quadrature_degree
