@@ -130,7 +130,8 @@ class Flow(checks.Made):
         force = None if f is None else self.fields.vector("f", f)
         self._solid = SolidInFlow(solid, state, moving, force) if solid and isinstance(moving, ElasticMotion) else None
         self.scales = surface_scales(mesh.domain) if kind is True else None
-        self._interior = Interior(state, self.options, force, *((None, None) if self.scales is None else self.scales))
+        scale_m, scale_c = self.scales or (None, None)
+        self._interior = Interior(state, self.options, force, scale_m, scale_c, isinstance(kind, str))
         self.terms: list[Term] = [(("fluid",), self._interior.residual(self.v))]
         follow = getattr(state.time, "follow", None)
         if follow is not None:  # dynamic sub-scales
