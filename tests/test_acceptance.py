@@ -99,3 +99,21 @@ def test_the_block_further_from_convergence_is_named():
     failed = judge.failure()
     assert failed.block == "shell"
     assert "fluid 5, shell 9" in str(failed)
+
+
+@pytest.mark.parametrize(
+    ("norms", "expected"),
+    [
+        ([(1.0, 1.0)], False),
+        ([(1.0, 1.0), (0.3, 0.3)], True),
+        ([(1.0, 1.0), (0.3, 0.4)], False),
+        ([(1.0, 1.0), (0.05, 0.3)], True),
+        ([(1.0, 1.0), (0.3, 0.3), (0.28, 0.1)], False),
+    ],
+)
+def test_accepted_residuals_are_within_reach_where_one_more_pass_like_the_last_one_leaves_them(norms, expected):
+    """Of a tenth of the first ones."""
+    judge = acceptance()
+    for pair in norms:
+        judge.test(pair, COUPLING, no_floors)
+    assert judge.within_reach == expected

@@ -15,7 +15,7 @@ from test_watch import piston
 from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
 from coudalfish.restart import CoupledState
 from coudalfish.step import condensed
-from coudalfish.step.attempts import FALLBACK
+from coudalfish.step.attempts import FALLBACK, attempts
 from coudalfish.step.converged import nearest_coefficients
 from coudalfish.surface.hats import hat_functions
 from coudalfish.surface.sheets import Sheets
@@ -201,7 +201,7 @@ def test_a_vector_falls_back_to_its_part_along_the_normals(monkeypatch):
         raise SolveError("no solution")
 
     monkeypatch.setattr(condensed.CondensedSystem, "solve", fails)
-    assert s.fsi.takeStep().attempts == 3
+    assert s.fsi.takeStep().attempts == 4
     assert np.abs(s.fsi.lam[:, 1]).max() < 5e-2 * np.abs(s.fsi.lam[:, 0]).max()
     monkeypatch.undo()
     assert s.fsi.takeStep().attempts == 1
@@ -324,7 +324,7 @@ def test_a_step_that_fails_falls_back_to_a_lagged_smoothed_multiplier_and_says_s
     monkeypatch.setattr(condensed, "ITERATIONS", 1)
     for _ in range(3):
         reports = [s.fsi.takeStep() for s in (fallen, lagged)]
-    assert [report.attempts for report in reports] == [3, 1]
+    assert [report.attempts for report in reports] == [4, 1]
     assert restarted.norms(fallen.fsi) == pytest.approx(restarted.norms(lagged.fsi), rel=1e-12)
     assert sum("fall back to a lagged multiplier" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
 
@@ -346,6 +346,57 @@ def test_a_step_that_fails_is_first_tried_with_tangents_in_every_pass(warned, mo
     assert restarted.norms(tried.fsi) == pytest.approx(restarted.norms(whole.fsi), rel=1e-12)
     assert sum("assemble tangents in every pass" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
     assert not any("fall back to a lagged multiplier" in text for text in warned())
+
+
+@pytest.mark.mpi
+def test_a_step_that_goes_on_failing_meets_the_shell_where_it_was(warned, monkeypatch):
+    s = in_flow(CouplingOptions.converged())
+    solve, place, met = condensed.CondensedSystem.solve, s.fsi.fluid.place, []
+
+    def places(meeting, sheets, x, *arguments, **scales):
+        met.append(x)
+        return place(meeting, sheets, x, *arguments, **scales)
+
+    def fails_twice(*arguments):
+        if len(met) < 3:
+            raise SolveError("as told")
+        return solve(*arguments)
+
+    start = s.shell.quadrature.points
+    monkeypatch.setattr(s.fsi.fluid, "place", places)
+    monkeypatch.setattr(condensed.CondensedSystem, "solve", fails_twice)
+    report = s.fsi.takeStep()
+    assert (report.attempts, len(met)) == (3, 3)
+    assert np.abs(met[0] - start).max() > 1e-3
+    np.testing.assert_array_equal(met[1], met[0])
+    np.testing.assert_array_equal(met[2], start)
+    moved = s.fsi.spline_sh.nodal(s.fsi.timeInt_sh.x)
+    assert np.abs(moved).max() > 1e-3
+    assert sum("meet the shell where it was before the step" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
+
+
+@pytest.mark.mpi
+def test_a_lagged_multiplier_that_fails_as_well_is_tried_with_caution(monkeypatch):
+    s, calls = in_flow(CouplingOptions.converged()), []
+    solve = type(s.fsi.fluid).solve
+
+    def fails_once(self, first):
+        calls.append(first)
+        if len(calls) == 2:
+            raise SolveError("as told")
+        return solve(self, first=first)
+
+    monkeypatch.setattr(condensed, "ITERATIONS", 1)
+    monkeypatch.setattr(type(s.fsi.fluid), "solve", fails_once)
+    assert s.fsi.takeStep().attempts == 5
+
+
+def test_a_penalty_that_cannot_follow_from_the_fluid_stays_what_it_is():
+    s = in_flow(CouplingOptions.converged(penalty=3.0))
+    known = attempts(s.fsi.options, s.fluid, s.shell)
+    s.fluid.density = None
+    unknown = attempts(s.fsi.options, s.fluid, s.shell)
+    assert [ways[-1].options.penalty for ways in (known, unknown)] == [FALLBACK["penalty"], 3.0]
 
 
 def test_a_step_that_fails_in_every_way_leaves_the_last_good_state(monkeypatch):

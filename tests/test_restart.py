@@ -70,7 +70,7 @@ class Fallen:
             return self.take_step()
         with mock.patch.object(condensed.CondensedSystem, "solve", side_effect=SolveError("as told")) as failing:
             report = self.take_step()
-        assert failing.call_count == 2
+        assert failing.call_count == 3
         assert np.abs(self.fsi.lam).max() > 0.0
         return report
 

@@ -96,12 +96,12 @@ class Acceptance:
         return any(b > STALL * a for a, b in zip(old, new, strict=True))
 
     @property
-    def reduction(self) -> float:
-        """What the last pass has left of the residuals that are not accepted, the largest part; 0: there was none."""
+    def within_reach(self) -> bool:
+        """Whether one more pass leaves accepted residuals, if it reduces them as the last one has done."""
         if len(self.history) < 2:
-            return 0.0
+            return False
         found = zip(*self.history[-2:], self.limits, strict=True)
-        return max((new / old if old else math.inf for old, new, limit in found if new > limit), default=0.0)
+        return all(new <= limit or new**2 <= limit * old for old, new, limit in found)
 
     def failure(self) -> RejectedStepError:
         """The error that the limit of passes has been reached, naming the block that is further from convergence."""

@@ -4,6 +4,8 @@ The steps of Kamensky, doi:10.1016/j.camwa.2020.01.023, with convergence tested 
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -96,7 +98,8 @@ class Step:
         cautious: bool = False,
     ) -> None:
         self.fluid, self.shell, self.comm = fluid, shell, fluid.comm
-        self.method, self.lag, options = attempt.method, attempt.method.lag, attempt.options
+        self.method, self.lag, self.stays = attempt.method, attempt.method.lag, attempt.stays
+        options = attempt.options
         self.options = replace(options, tangent_update="pass", accelerate_after=0) if cautious else options
         self.meets, self.locator, self.watch, self.cautious = meets, locator, watch, cautious
         self.lam, self.floors, self.beta = start.lam, start.floors, start.penalty
@@ -141,18 +144,32 @@ class Step:
         self.block = "coupling"
 
     def _place(self) -> None:
-        """Explicit geometry: points at the predictor, their cells, B, the band and the normals."""
-        x, v = (ranks.first(self.comm, f()) for f in (self.shell.positions, self.shell.velocity))
-        if not np.isfinite(x).all():
-            raise RejectedStepError("shell", "the predicted positions are not finite")
+        """Explicit geometry: points where the fluid meets them, their cells, B, the band and the normals."""
+        with self._met():
+            x = ranks.first(self.comm, self.shell.positions())
+            if not np.isfinite(x).all():
+                raise RejectedStepError("shell", "the predicted positions are not finite")
+            self.n = self.shell.normals()
+        v = ranks.first(self.comm, self.shell.velocity())
         scales = {"scale_m": self.options.scale_m, "scale_c": self.options.scale_c}
         meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, v, **scales)
         self.meeting = meeting
         self.inactive, self.W, self.trace = int((~meeting.active).sum()), meeting.W, meeting.trace
-        self.n = self.shell.normals()
         self.multiplier = self.method.begin(self)
         self.spacing = self.watch.spacing(x)
         self.watch.placed(self, x)
+
+    @contextmanager
+    def _met(self) -> Iterator[None]:
+        """The shell where the fluid meets it, meanwhile."""
+        time = self.shell.timeInt
+        predicted = time.x.x.array.copy()
+        if self.stays:
+            time.x.x.array[:] = time.x_old.x.array
+        try:
+            yield
+        finally:
+            time.x.x.array[:] = predicted
 
     @cached_property
     def vertex_functions(self) -> sp.csr_matrix:

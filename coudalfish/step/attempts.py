@@ -55,10 +55,11 @@ def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubpr
     from coudalfish.step.converged import PASSES, Converged  # who has a lagged multiplier needs nothing of it
 
     alone = options.with_(acceleration=0, second_attempt=False, max_passes=min(options.max_passes, PASSES))
-    method = Converged(fluid, shell, options)
+    method, renewed = Converged(fluid, shell, options), alone.with_(tangent_update="pass")
     ways = [Attempt(method, alone)]
     if options.tangent_update != "pass":
-        ways.append(Attempt(method, alone.with_(tangent_update="pass"), "assemble tangents in every pass"))
+        ways.append(Attempt(method, renewed, "assemble tangents in every pass"))
+    ways.append(Attempt(method, renewed, "meet the shell where it was before the step", stays=True))
     known = fluid.density is not None and fluid.viscosity is not None
     changes = FALLBACK if known else {**FALLBACK, "penalty": options.penalty}
     return *ways, Attempt(Lagged(smoothed=True), options.with_(**changes), "fall back to a lagged multiplier")

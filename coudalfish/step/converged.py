@@ -17,8 +17,6 @@ from coudalfish.surface.multiplier import held_points
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
-PAYS = 0.2
-"""Tangents are assembled anew when a pass leaves more than this of a residual."""
 PASSES = 20
 """Passes after which Newton's method has failed, if the options allow more."""
 INNER = 3
@@ -132,7 +130,8 @@ class ConvergedMultiplier:
     def advance(self, step: Stepping) -> float:
         """See :class:`coudalfish.step.method.StepMultiplier`."""
         before = step.shell_residual()
-        fresh = step.passes == 0 or step.options.tangent_update == "pass" or step.acceptance.reduction > PAYS
+        every = step.passes == 0 or step.options.tangent_update == "pass"
+        fresh = every or not step.acceptance.within_reach
         at = self._linearised(step, fresh)
         step.block = "fluid"
         system = self._method.prepared(at)

@@ -116,8 +116,10 @@ class Attempt:
         method: kind of the multiplier.
         options: of the coupling.
         what: what is said of it where those before have failed.
+        stays: whether the fluid meets the shell where the step before has left it, not where it is predicted.
     """
 
     method: Method
     options: CouplingOptions
     what: str = ""
+    stays: bool = False
