@@ -16,9 +16,9 @@ from varmint.forms.ale import Motion, advection, divergence, gradient, per_volum
 
 EPSILON = 3e-16
 """Keeps the square root in tau_M differentiable where everything in it vanishes."""
-DIVIDED, LONGEST = 0.5, 2.0
+DIVIDED, LONGEST = 0.5, 1.0
 """In cells that are divided: factor of tau_M, which goes with the area, of which a side has half on average, and how
-long it is then at most, in time steps. Much longer ones in some cells alone make pressures unstable: docs/theory.md."""
+long it is then at most, in time steps. Longer ones in some cells alone make pressures unstable: docs/theory.md."""
 
 
 def stress(v: Any, p: Any, mu: Any, motion: Motion | None = None) -> Any:
