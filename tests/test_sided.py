@@ -36,16 +36,19 @@ def membrane(immersed, level=2, cells=None, data=None, **options):
     return flow, CouDALFISh(flow, shell, CouplingOptions.sharp(**options), multiplier=data.DP)
 
 
-@pytest.mark.parametrize(("mu", "passes"), [(0.1, 1), (1e-3, 1)])
-def test_the_membrane_has_the_errors_of_fields_that_jump_and_bend(mu, passes):
-    """Also where inertia rules, which shows kinks that stay behind and penalties at walls that are negative."""
+@pytest.mark.parametrize(
+    ("mu", "passes", "leak", "gradient"), [(0.1, 1, 1.6e-7, 0.111), (1e-3, 1, 7.8e-7, 0.127), (1e-4, 2, 3.4e-6, 0.143)]
+)
+def test_the_membrane_has_the_errors_of_fields_that_jump_and_bend(mu, passes, leak, gradient):
+    """Also where inertia rules, which shows kinks that stay behind, penalties at walls that are negative, and sub-scales
+    of divided cells that last longer than a time step."""
     data = problem.ProblemData(mu=mu)
     _, fsi = membrane("jump and kink", data=data)
     reports = [fsi.takeStep() for _ in range(24)]
     assert max(report.passes for report in reports) == passes
-    assert max(abs(report.monitors.leak) for report in reports) < 5e-5
+    assert max(abs(report.monitors.leak) for report in reports) < leak
     found = problem.errors(fsi, data, fsi.timeInt_f.time, 2)
-    for name, limit in {"L2_u": 1.9e-3, "H1_u": 0.12, "L2_p": 1.1e-2, "L2_y": 1.25e-4}.items():
+    for name, limit in {"L2_u": 1.63e-3, "H1_u": gradient, "L2_p": 1.1e-2, "L2_y": 1.13e-4}.items():
         assert 0.5 * limit < found[name] < limit, (name, found)
 
 
