@@ -40,8 +40,10 @@ def membrane(immersed, level=2, cells=None, data=None, **options):
     ("mu", "passes", "leak", "gradient"), [(0.1, 1, 1.6e-7, 0.111), (1e-3, 1, 7.8e-7, 0.127), (1e-4, 2, 3.4e-6, 0.143)]
 )
 def test_the_membrane_has_the_errors_of_fields_that_jump_and_bend(mu, passes, leak, gradient):
-    """Also where inertia rules, which shows kinks that stay behind, penalties at walls that are negative, and sub-scales
-    of divided cells that last longer than a time step."""
+    """Also where inertia rules, which shows kinks that stay behind and penalties at walls that are negative.
+
+    At the smallest viscosity it shows sub-scales of divided cells that last longer than a time step, too.
+    """
     data = problem.ProblemData(mu=mu)
     _, fsi = membrane("jump and kink", data=data)
     reports = [fsi.takeStep() for _ in range(24)]
