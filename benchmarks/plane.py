@@ -9,6 +9,7 @@ pressure are of the order of one, and h is the size of the fluid's cells.
 - :class:`Ring`: a closed elastic ring that starts as an ellipse; its area should stay.
 - :class:`Plate`: a plate swings in its own plane, in Stokes layers.
 - :class:`Slit`: two plates on one line leave a gap, through which a jump of pressure drives the fluid.
+- :class:`Flag`: a flag that is held at one end flaps in a stream.
 """
 
 import math
@@ -22,7 +23,7 @@ from mpi4py import MPI
 
 from coudalfish import CouDALFISh, CouplingOptions, StepReport
 from shnapr import DeadLoad, Shell, StVenantKirchhoff
-from shnapr.supports import fixed
+from shnapr.supports import fixed, pinned
 from tigar_x import compat, generalized_alpha
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import direct
@@ -31,6 +32,7 @@ from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.patch import Patch
 from tigar_x.run.progress import Stopwatch
 from varmint import Flow, FlowOptions, Slip, Traction, Velocity, box, flow_rate
+from varmint.mesh.named import grid
 
 COMM = MPI.COMM_WORLD
 
@@ -532,3 +534,91 @@ class Slit:
             calm = calm + self.cfl if change <= self.steady else 0.0
         leak = report.monitors.leak / self.reference if report.monitors else math.nan
         return scene.found(flow=new, leak=leak, change=change)
+
+
+# -- a free end -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A flag of length one in a stream of speed and density one; its front end is held, it hangs along the stream.
+
+    The data are those of a filament of Huang, Shin and Sung, doi:10.1016/j.jcp.2007.07.002: it starts straight and at
+    rest, at an angle to the stream, and flaps for ever. It can stretch here, by about a thousandth. Near it the mesh is
+    uniform, elsewhere its cells grow.
+
+    Attributes:
+        n: fluid cells in the length.
+        dt: time step.
+        until: end of the run; the last half of it counts.
+        reynolds: Reynolds number of the length.
+        mass: per area, over that of the fluid in a cube of its length.
+        bending: stiffness over the mass.
+        weight: per mass, along the stream.
+        stretching: stiffness.
+        angle: at the start.
+        ahead: of the mesh, before the flag.
+        behind: likewise.
+        beside: likewise.
+    """
+
+    n: int = 16
+    dt: float = 0.01
+    until: float = 30.0
+    reynolds: float = 200.0
+    mass: float = 1.5
+    bending: float = 1.5e-3
+    weight: float = 0.5
+    stretching: float = 1e3
+    angle: float = 0.1 * math.pi
+    ahead: float = 2.0
+    behind: float = 5.0
+    beside: float = 4.0
+
+    def build(self, setting: Setting) -> Coupled:
+        """The flag at rest in the stream."""
+        x = _graded(-self.ahead, 1.0 + self.behind, (-0.25, 1.5), 1.0 / self.n)
+        y = _graded(-self.beside, self.beside, (-0.625, 0.625), 1.0 / self.n)
+        sides = [Velocity("left", (1.0, 0.0)), Slip(("bottom", "top")), Traction("right")]
+        known = {"rho": 1.0, "mu": 1.0 / self.reynolds, "dt": self.dt, "scheme": generalized_alpha(0.5)}
+        flow = _flow(grid(COMM, (x, y)), sides, setting, **known)
+        flow.start((1.0, 0.0))
+        line = shapes.line((0.0, 0.0), (math.cos(self.angle), math.sin(self.angle)), elements=self.n, degree=2)
+        thickness = math.sqrt(12.0 * self.bending * self.mass / self.stretching)
+        material = StVenantKirchhoff(self.stretching / thickness, 0.0, thickness)
+        load = DeadLoad((self.mass * self.weight, 0.0))
+        known = {"density": self.mass / thickness, "zero_dofs": pinned(line, "u0"), "loads": [load]}
+        return Coupled(flow, Shell(line, material, **known), setting)
+
+    def run(self, setting: Setting = Setting()) -> Found:
+        """Let it flap.
+
+        Figures: "amplitude" of its end across the stream, half of what it passes, "period" and "drag", means over the
+        last half of the run, and "leak", the largest flow through it over that of the stream through its length.
+        """
+        scene = self.build(setting)
+        end = math.sin(self.angle)
+        for _ in range(round(self.until / self.dt)):
+            scene.step(lambda: end + scene.shell.at("u1").displacement[1])
+        late = scene.reports[len(scene.reports) // 2 :]
+        y = np.array([report.measured for report in late])
+        rises = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
+        times = rises - y[rises] / (y[rises + 1] - y[rises])
+        monitors = [report.monitors for report in scene.reports if report.monitors]
+        return scene.found(
+            amplitude=0.5 * float(np.ptp(y)),
+            period=float(np.diff(times).mean()) * self.dt if len(times) > 1 else math.nan,
+            drag=float(np.mean([each.force[0] for each in monitors[len(scene.reports) // 2 :]])),
+            leak=max(abs(each.leak) for each in monitors),
+        )
+
+
+def _graded(low: float, high: float, uniform: tuple[float, float], h: float, growth: float = 1.15) -> FloatArray:
+    """Lines of a mesh that are h apart in a part of it; outside cells grow by a factor, about."""
+    a, b = uniform
+    sides = []
+    for length in (a - low, high - b):
+        count = math.ceil(math.log1p(length * (growth - 1.0) / (growth * h)) / math.log(growth))
+        steps = growth ** np.arange(1, count + 1)
+        sides.append(length * np.cumsum(steps) / steps.sum())
+    return np.concatenate([a - sides[0][::-1], np.linspace(a, b, round((b - a) / h) + 1), b + sides[1]])

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plane import LOADED_ARC, Found, HeldSheet, Plate, Ring, Setting, Slit, String
+from plane import LOADED_ARC, Flag, Found, HeldSheet, Plate, Ring, Setting, Slit, String
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x.run import script
@@ -25,7 +25,7 @@ from tigar_x.run.progress import peak_rss_mib
 from varmint import FlowOptions
 
 COSTS = ("leaked", "steps", "passes mean/max", "hard", "CPU ms/step", "MiB")
-Scene = HeldSheet | String | Ring | Plate | Slit
+Scene = HeldSheet | String | Ring | Plate | Slit | Flag
 Study = tuple[tuple[str, ...], dict[str, Scene]]
 """Names of the figures that count, and scenes by name."""
 
@@ -68,6 +68,7 @@ STUDIES: dict[str, Study] = {
         }
         | {f"Re {re:g}, CFL 10, gap 1 h, dt x 10": Slit(1.0, re, 10.0) for re in (0.5, 10.0)},
     ),
+    "flag": (("amplitude", "period", "drag", "leak"), {"n 16": Flag(), "n 16, dt x 10": Flag(dt=0.1)}),
 }
 PLACES = 20
 SHIFTED: dict[str, HeldSheet] = {"arc": HeldSheet(), "straight": HeldSheet(bow=0.0)}

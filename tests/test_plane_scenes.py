@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane import DISCHARGE, LOADED_ARC, HeldSheet, Plate, Ring, Setting, Slit, String, damped_frequency
+from plane import DISCHARGE, LOADED_ARC, Flag, HeldSheet, Plate, Ring, Setting, Slit, String, damped_frequency
 from surface import STUDIES, setting_of
 
 from coudalfish import CouplingOptions, PenaltyRule
+from varmint import FlowOptions
 
 CONVERGED = Setting(CouplingOptions.converged())
 SHARP = Setting(CouplingOptions.sharp(), "jump and kink")
@@ -166,6 +167,21 @@ def test_a_slit_has_the_viscosity_that_its_flow_belongs_to():
     assert fast.reference == pytest.approx(DISCHARGE[10.0] * 2.0 / 32 * math.sqrt(2.0))
     for slit in (slow, fast):
         assert slit.reference / slit.mu == pytest.approx(slit.reynolds)
+
+
+# -- a free end -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_flag_starts_at_once_and_flaps_in_few_passes_at_its_time_step_and_at_ten_times_that():
+    """With cross and Reynolds stress of the sub-scales the second large step diverges."""
+    around, setting = {"ahead": 1.0, "behind": 2.0, "beside": 1.5}, replace(SHARP, flow=FlowOptions())
+    small, large = (Flag(dt=dt, until=until, **around).run(setting) for dt, until in ((0.01, 0.25), (0.1, 1.0)))
+    assert small.passes.mean() <= 1.5
+    assert max(small.passes.max(), large.passes.max()) <= 6
+    assert large.passes.mean() <= 3.5
+    assert {report.attempts for report in (*small.reports, *large.reports)} == {1}
+    assert max(small.figures["leak"], large.figures["leak"]) < 2e-3
 
 
 # -- settings ---------------------------------------------------------------------------------------------------------
