@@ -207,6 +207,19 @@ def test_a_vector_falls_back_to_its_part_along_the_normals(monkeypatch):
     assert s.fsi.takeStep().attempts == 1
 
 
+def test_the_direction_of_the_multiplier_may_change_between_steps():
+    for first, then in (("vector", "normal"), ("normal", "vector")):
+        s = in_flow(CouplingOptions.converged(multiplier_direction=first), ends=((0.4, 0.25), (0.4, 0.75)))
+        s.fsi.takeStep()
+        s.fsi.options = s.fsi.options.with_(multiplier_direction=then)
+        for _ in range(2):
+            assert s.fsi.takeStep().attempts == 1
+        along, across = np.abs(s.fsi.lam[:, 0]).max(), np.abs(s.fsi.lam[:, 1]).max()
+        assert s.fsi.lam.shape == (len(s.shell.quadrature.weights), 2)
+        assert along > 0.0
+        assert across < 5e-2 * along or then == "vector"
+
+
 @pytest.mark.parametrize("kind", ["plain", "vector", "contact"])
 def test_a_run_goes_on_from_a_checkpoint(kind, tmp_path):
     make = {

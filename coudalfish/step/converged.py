@@ -12,6 +12,7 @@ from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.condensed import CondensedSystem, Linearised, Preconditioner
 from coudalfish.step.method import Stepping
 from coudalfish.step.options import CouplingOptions
+from coudalfish.surface.exchange import along_normals, tractions
 from coudalfish.surface.hats import hat_functions
 from coudalfish.surface.multiplier import held_points
 from tigar_x import ranks
@@ -53,11 +54,11 @@ class Converged:
     def __init__(self, fluid: FluidSubproblem, shell: ShellSubproblem, options: CouplingOptions) -> None:
         size = options.multiplier_size * fluid.mesh_size
         N = hat_functions(shell.spline, shell.sheets, shell.quadrature.weights, size)
-        d, vector = shell.spline.nsd, options.multiplier_direction == "vector"
-        self.functions = sp.csr_matrix(abs(N)) if vector else N  # a vector has no side
+        d, self.vector = shell.spline.nsd, options.multiplier_direction == "vector"
+        self.functions = sp.csr_matrix(abs(N)) if self.vector else N  # a vector has no side
         self.functions_t, self.areas_t = self.functions.T.tocsr(), abs(N).T.tocsr()
         self.fit = nearest_coefficients(self.functions, shell.quadrature.weights)
-        self._spread = sp.kron(self.functions, np.eye(d) if vector else np.ones((d, 1)), format="csr")
+        self._spread = sp.kron(self.functions, np.eye(d) if self.vector else np.ones((d, 1)), format="csr")
         self._rows = np.repeat(np.arange(self._spread.shape[0]), np.diff(self._spread.indptr))
         self.displacements_t = shell.displacements.T.tocsr()
         self.system, self._layout = CondensedSystem(fluid, self._spread.shape[1]), fluid.system.layout
@@ -117,8 +118,8 @@ class ConvergedMultiplier:
     def __init__(self, method: Converged, step: Stepping) -> None:
         self._method, self._N = method, method.functions
         self._held = held_points(step.comm, step.fluid.free, step.shell.sheets, step.trace, step.n)
-        self._vector = step.lam.ndim == 2
-        self._c = method.fit @ step.lam
+        self._vector = method.vector
+        self._c = method.fit @ (tractions if self._vector else along_normals)(step.lam, step.n)
         ranks.share(step.comm, self._c)
         self._reference = 0.0
         self._renew()
