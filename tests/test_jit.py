@@ -15,7 +15,7 @@ import cffi
 import pytest
 import ufl
 from mpi4py import MPI
-from dolfinx import mesh
+from dolfinx import fem, mesh
 from mpi_runs import outside
 from on_disk import ROOT
 
@@ -119,6 +119,22 @@ def test_a_damaged_module_is_compiled_again(cache, tmp_path, monkeypatch, caplog
     assert area() == pytest.approx(2.0)
     assert "cannot be loaded" in caplog.text
     assert library.stat().st_size
+
+
+def parts():
+    """Compile a residual and its tangent that are confined to some cells."""
+    domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    V = compat.lagrange_space(domain, 1)
+    u, k = fem.Function(V), fem.Function(V)
+    residual = (1 + k) * u**3 * ufl.TestFunction(V) * ufl.dx(domain, degree=2)
+    return compat.partial_forms(residual, ufl.derivative(residual, u))
+
+
+def test_what_was_compiled_is_found_by_the_next_process(cache):
+    """Keys do not depend on what was compiled before them: dolfinx 0.5 numbers functions on first use."""
+    for _ in range(2):
+        started(cache, "test_jit.parts()").communicate()
+        assert len(list(cache.glob("libffcx_forms_*.c"))) == 2
 
 
 def test_compilers_do_not_speak_in_the_log(cache, caplog, capfd):

@@ -52,7 +52,7 @@ from tigar_x.compat.meshes import (
     owned_cells,
     shortest_edges,
 )
-from tigar_x.compat.parts import PartialForm
+from tigar_x.compat.parts import PartialForm, partial_forms
 from tigar_x.compat.points import PointField, VectorAtPoints
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import (
@@ -81,6 +81,7 @@ __all__ = [
     "cache_folder",
     "compiled_forms",
     "PartialForm",
+    "partial_forms",
     "compile_cpu_seconds",
     "compile_forms",
     "compile_seconds",

@@ -1,5 +1,6 @@
 """Compiled forms that are confined to some of their cells, again and again, without being compiled again."""
 
+from functools import cached_property
 from typing import Any
 
 import cffi
@@ -23,9 +24,6 @@ class PartialForm:
     Args:
         form: integrals over cells, either all or tagged ones, and over tagged facets of the boundary.
 
-    Attributes:
-        whole: the compiled form in all cells.
-
     Raises:
         ValueError: it has other integrals, or some over all cells beside some over tagged ones.
     """
@@ -35,8 +33,12 @@ class PartialForm:
         self._mesh: Any = spaces[0].mesh
         data = {kind: self._tags(form, kind) for kind in KINDS}
         self._form = ufl.Form([_tagged(integral, data) for integral in form.integrals()])
-        (self.whole,) = compile_forms(self._form)
         self._entities = {kind: self._all(kind, tags) for kind, tags in data.items() if tags is not None}
+
+    @cached_property
+    def whole(self) -> Any:
+        """The compiled form in all cells."""
+        return compile_forms(self._form)[0]
 
     def _tags(self, form: ufl.Form, kind: str) -> Any:
         """Tags of the entities of integrals of a kind; None: it has none."""
@@ -112,6 +114,18 @@ class PartialForm:
             address, maps = [address], []
         made = type(whole._cpp_object)(address, *parts, entities, maps, whole.mesh)
         return forms.Form(made, whole.ufcx_form, whole.code, whole.module)
+
+
+def partial_forms(*forms: ufl.Form) -> list[PartialForm]:
+    """Forms that share functions, compiled at once: see :func:`tigar_x.compat.forms.compile_forms`.
+
+    Args:
+        forms: as :class:`PartialForm` takes them, on one mesh.
+    """
+    parts = [PartialForm(form) for form in forms]
+    for part, whole in zip(parts, compile_forms(*(part._form for part in parts)), strict=True):
+        part.whole = whole
+    return parts
 
 
 def _tagged(integral: Any, data: dict[str, Any]) -> Any:

@@ -53,8 +53,8 @@ class DoubledSystem(FiniteElementSystem):
     def _make(self, residual: ufl.Form, tangent: ufl.Form) -> None:
         d, V = self._doubled, self.x.function_space
         self._e, self._z = d.joined[0][1:]
-        self._parts = [compat.PartialForm(form) for form in (residual, tangent)]
-        self._divided_parts = [compat.PartialForm(form) for form in (d.residual, ufl.derivative(d.residual, self._z))]
+        forms = compat.partial_forms(residual, tangent, d.residual, ufl.derivative(d.residual, self._z))
+        self._parts, self._divided_parts = forms[:2], forms[2:]
         self._m = V.dofmap.index_map_bs
         self._cell_nodes, self._node_of_z = compat.cell_dofs(V), d.node_of_z
         self._nodes = len(self.x.x.array) // self._m
