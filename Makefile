@@ -43,7 +43,7 @@ check: setup ## test the installation, in a minute, and say in words what is wro
 
 demo: setup ## run the fluid-membrane benchmark with its convergence table, a shell, a flow and valves, into results/
 	$(PYTHON) demos/manufactured.py --level 4 --overwrite --out results/manufactured
-	$(PYTHON) benchmarks/manufactured.py --levels 1,2,3,4 --presets reference,default --out results/manufactured
+	$(PYTHON) benchmarks/manufactured.py --levels 1,2,3,4 --presets reference,plain,sharp --out results/manufactured
 	$(PYTHON) demos/scordelis_lo.py --overwrite --out results/scordelis_lo
 	$(PYTHON) demos/lid_driven_cavity.py --degree 2 --overwrite --out results/lid_driven_cavity
 	$(PYTHON) demos/valve_2d.py --elements 16 --overwrite --out results/valve_2d

@@ -73,7 +73,7 @@ def shares(stats: pstats.Stats) -> dict[str, float]:
 def main(
     dim: Literal[2, 3] = 2,
     level: int = 5,
-    preset: Literal["reference", "default"] = "default",
+    preset: Literal["reference", "plain"] = "plain",
     steps: int = 20,
     out: Path = Path("results/benchmarks"),
 ) -> dict[str, Any]:
@@ -82,7 +82,7 @@ def main(
     Args:
         dim: dimension of space, 2 or 3 (one layer).
         level: refinement level.
-        preset: the published algorithm, or this library's defaults.
+        preset: the published algorithm, or this library's with plain fields.
         steps: steps to profile, after one that is not.
         out: folder of the results.
 

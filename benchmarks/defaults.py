@@ -1,4 +1,4 @@
-"""Why the defaults are what they are: one table per choice, on the manufactured fluid-membrane problem.
+"""Why the defaults of plain fields are what they are: a table per choice, on the manufactured fluid-membrane problem.
 
 What hard steps get (acceleration, a second attempt, many passes) is tried with penalties far above the guideline mu/h,
 the absolute tolerance in a duct under a steady load, see ``stability.duct``. CPU seconds of one process; within a table
@@ -25,7 +25,7 @@ demo = load_demo("manufactured")
 
 HEADER = ("setting", "steps", "passes", "linear", "CPU s", "L2 u", "H1 u", "L2 p", "L2 y")
 STEADY_HEADER = ("setting", "steps", "passes", "CPU s", "slip rms")
-DEFAULT = CouplingOptions()
+PLAIN = CouplingOptions()
 ILU = gmres_ilu(1)
 MULTIPLIER_DATA: dict[str, dict[str, float]] = {
     "": {},
@@ -38,7 +38,7 @@ Study = tuple[str, list[tuple[Any, ...]]]
 
 def run(
     setting: str,
-    options: CouplingOptions = DEFAULT,
+    options: CouplingOptions = PLAIN,
     solver: LinearSolver = ILU,
     *,
     level: int,
@@ -67,7 +67,7 @@ def hard(C: float, **options: Any) -> tuple[Any, ...]:
     data = problem.ProblemData()
     mu_h = data.mu * problem.cells_per_side(3) / data.L
     name = ", ".join([f"C {C:g}", *(f"{key} {value}" for key, value in options.items())])
-    return run(name, replace(DEFAULT, penalty=C * mu_h, **options), level=3, dt_factor=4)
+    return run(name, replace(PLAIN, penalty=C * mu_h, **options), level=3, dt_factor=4)
 
 
 def steady(block_atol: float, *, steps: int = 600) -> tuple[Any, ...]:
@@ -101,30 +101,30 @@ def studies() -> Iterator[Study]:
         "presets, level 4",
         [
             run("reference", CouplingOptions.reference(), level=4, projected=True),
-            run("default", level=4),
-            run("default, dt x 2", level=4, dt_factor=2),
+            run("plain", level=4),
+            run("plain, dt x 2", level=4, dt_factor=2),
         ],
     )
     yield (
         "penalty C_1 and scale_c, level 4",
         [
-            run(f"C_1 {C_1}, scale_c {s}", replace(DEFAULT, penalty=PenaltyRule(C_1, 0.5), scale_c=s), level=4)
+            run(f"C_1 {C_1}, scale_c {s}", replace(PLAIN, penalty=PenaltyRule(C_1, 0.5), scale_c=s), level=4)
             for C_1 in (1.0, 2.0, 4.0, 8.0)
             for s in (0.1, 0.02, 0.01, 0.001)
         ],
     )
     yield (
         "scale_c under a pressure jump of 30, level 4",
-        [run(f"scale_c {s}", replace(DEFAULT, scale_c=s), level=4, DP=30.0) for s in (0.1, 0.02, 0.01, 0.001)],
+        [run(f"scale_c {s}", replace(PLAIN, scale_c=s), level=4, DP=30.0) for s in (0.1, 0.02, 0.01, 0.001)],
     )
     yield (
         "scale_m, level 4",
-        [run(f"scale_m {s}", replace(DEFAULT, scale_m=s), level=4) for s in (1.0, 0.1, 1e-2, 1e-3, 1e-4)],
+        [run(f"scale_m {s}", replace(PLAIN, scale_m=s), level=4) for s in (1.0, 0.1, 1e-2, 1e-3, 1e-4)],
     )
     yield (
         "penalty C_2 at low viscosity (mu = 1e-3), level 4",
         [
-            run(f"C_2 {C_2}", replace(DEFAULT, penalty=PenaltyRule(2.0, C_2)), level=4, mu=1e-3)
+            run(f"C_2 {C_2}", replace(PLAIN, penalty=PenaltyRule(2.0, C_2)), level=4, mu=1e-3)
             for C_2 in (0.0, 0.1, 0.5, 2.0)
         ],
     )
@@ -133,13 +133,13 @@ def studies() -> Iterator[Study]:
         [
             run(name + change, options, level=4, **data)
             for change, data in MULTIPLIER_DATA.items()
-            for name, options in (("lagged", DEFAULT), ("converged", CouplingOptions.converged()))
+            for name, options in (("lagged", PLAIN), ("converged", CouplingOptions.converged()))
         ],
     )
     yield (
         "block tolerance and fluid tangent, level 4, dt x 4",
         [
-            run(f"{t}, block_rtol {r:g}", replace(DEFAULT, fluid_tangent=t, block_rtol=r), level=4, dt_factor=4)
+            run(f"{t}, block_rtol {r:g}", replace(PLAIN, fluid_tangent=t, block_rtol=r), level=4, dt_factor=4)
             for t in ("lumped", "consistent")
             for r in (1e-1, 1e-2, 1e-3, 1e-5)
         ],
@@ -147,12 +147,12 @@ def studies() -> Iterator[Study]:
     yield (
         "normal, tangent update and stopping, level 4, dt x 4",
         [
-            run("defaults", level=4, dt_factor=4),
-            run("normal of the iterate", replace(DEFAULT, normal="iterate"), level=4, dt_factor=4),
-            run("tangent in every pass", replace(DEFAULT, tangent_update="pass"), level=4, dt_factor=4),
+            run("plain", level=4, dt_factor=4),
+            run("normal of the iterate", replace(PLAIN, normal="iterate"), level=4, dt_factor=4),
+            run("tangent in every pass", replace(PLAIN, tangent_update="pass"), level=4, dt_factor=4),
             run(
                 "published stopping, 1e-3",
-                replace(DEFAULT, stopping="published", block_rtol=1e-3),
+                replace(PLAIN, stopping="published", block_rtol=1e-3),
                 level=4,
                 dt_factor=4,
             ),
@@ -162,11 +162,11 @@ def studies() -> Iterator[Study]:
         yield (
             f"linear solver, level {level}, dt x 4",
             [
-                run("MUMPS", DEFAULT, direct(), level=level, dt_factor=4),
+                run("MUMPS", PLAIN, direct(), level=level, dt_factor=4),
                 *(
                     run(
                         f"GMRES, block ILU({k}), rtol {rtol:g}",
-                        DEFAULT,
+                        PLAIN,
                         gmres_ilu(k, rtol=rtol),
                         level=level,
                         dt_factor=4,

@@ -96,7 +96,7 @@ def coupled() -> Any:
 
     channel = box(MPI.COMM_WORLD, (0, 0), (3, 1), (24, 8))
     walls, pinned = WeakVelocity(("left", "right", "bottom", "top"), inflow), FlowOptions(pressure="pin", pin_at=(3, 0))
-    flow = Flow(channel, [walls], rho=1.0, mu=0.05, dt=0.01, immersed=True, options=pinned)
+    flow = Flow(channel, [walls], rho=1.0, mu=0.05, dt=0.01, immersed="plain", options=pinned)
     line = shapes.line((1, 0.005), (1, 0.6), elements=12, degree=2)
     flap = Shell(line, StVenantKirchhoff(1e4, 0.4, 0.03), density=1.0, clamped=("u0",))
     fsi = CouDALFISh(flow, flap)

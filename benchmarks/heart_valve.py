@@ -63,7 +63,7 @@ def run(ranks: int, resolution: int, elements: int, preset: str, steps: int) -> 
 def main(
     resolution: int = 20,
     leaflet_elements: int = 13,
-    presets: str = "reference,default",
+    presets: str = "reference,plain",
     steps: int = 40,
     sweep: str = "8,12,16,20,26",
     ranks: str = "1,2",
@@ -77,8 +77,8 @@ def main(
         leaflet_elements: of the comparison, from post to post; 0: by resolution.
         presets: those compared, separated by commas.
         steps: that are measured.
-        sweep: resolutions of the default preset's sweep, with the leaflets of the comparison; empty: none.
-        ranks: numbers of ranks of the default preset; empty: none.
+        sweep: resolutions of the sweep with the plain preset, with the leaflets of the comparison; empty: none.
+        ranks: numbers of ranks, with the plain preset; empty: none.
         out: folder of the results.
         worker: measure the first preset on the ranks of this run and print the result.
 
@@ -107,11 +107,11 @@ def main(
     print(table(header, rows))
     parts = compared[0]["shares"]
     print(table(("part of a step [%]", *names), [(p, *(100 * f["shares"][p] for f in compared)) for p in parts]))
-    sizes = [run(1, int(r), leaflet_elements, "default", steps) for r in sweep.split(",") if r]
+    sizes = [run(1, int(r), leaflet_elements, "plain", steps) for r in sweep.split(",") if r]
     columns = ("cells", "dofs_fluid", "passes_mean", "linear_iterations_mean", "cpu_s_per_step", "peak_rss_mib")
     if sizes:
         print(table(columns, [[size[key] for key in columns] for size in sizes]))
-    parallel = {n: run(int(n), resolution, leaflet_elements, "default", steps) for n in ranks.split(",") if n}
+    parallel = {n: run(int(n), resolution, leaflet_elements, "plain", steps) for n in ranks.split(",") if n}
     if parallel:
         keys = ("wall_s_per_step", "cpu_s_per_step", "passes_mean", "linear_iterations_mean")
         print(table(("ranks", *keys), [(n, *(found[key] for key in keys)) for n, found in parallel.items()]))

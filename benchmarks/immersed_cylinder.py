@@ -115,7 +115,7 @@ def shown(rows: Iterable[dict[str, Any]]) -> list[list[Any]]:
 
 
 def main(
-    presets: str = "default,reference,converged,sharp",
+    presets: str = "plain,reference,converged,sharp",
     cells: str = "20,40",
     time_steps: str = "0.05,0.02,0.005",
     diagonals: str = "right,left",

@@ -48,7 +48,7 @@ class Setting:
     """
 
     options: CouplingOptions = field(default_factory=CouplingOptions)
-    immersed: Any = True
+    immersed: Any = "plain"
     flow: FlowOptions = field(default_factory=lambda: FlowOptions(solver=direct()))
 
 
@@ -123,7 +123,7 @@ def _flow(mesh: Any, conditions: Sequence[Any], setting: Setting, *, pin_at: Any
 class HeldSheet:
     """Duct (0, 2) x (0, 1) with slip walls and a sheet across it that is held, under a jump of pressure.
 
-    The exact velocity is zero. With the default setting the largest velocity over the jump is 3.0e-3, 1.5e-3, 7.8e-4
+    The exact velocity is zero. With plain fields the largest velocity over the jump is 3.0e-3, 1.5e-3, 7.8e-4
     for n = 16, 32, 64; long runs of shorter steps show whether a pattern of the multiplier grows.
 
     Attributes:
@@ -465,7 +465,7 @@ class Slit:
 
     A jump of pressure of one drives the fluid. It starts at rest, with the jump in its pressure and on the plates. Slow
     flow through a slit in a wall has the rate ``pi gap^2 jump/(32 mu)``, faster flow that which is in ``DISCHARGE``;
-    the viscosity follows from the Reynolds number, the flow rate over the kinematic viscosity. With the default setting
+    the viscosity follows from the Reynolds number, the flow rate over the kinematic viscosity. With plain fields
     0.07, 0.12, 0.50 of it pass gaps of 1, 2, 4 cells at a CFL number of 1.
 
     Attributes:

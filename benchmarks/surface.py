@@ -3,8 +3,9 @@
 The scenes are those of ``plane.py``. Every run is a process of its own, so that CPU seconds, without form compilation,
 and memory are its alone; within a table they may be compared, as the runs follow each other directly.
 
-A setting is a preset of the coupling's options, ``default``, ``converged``, ``sharp`` and so on, with changes to them,
-``default(relaxation=0.2, penalty=(10, 0))``; ``immersed`` is that of the flow, and options of the flow are taken too.
+A setting is a preset of the coupling's options, ``plain`` (the options as they are), ``converged``, ``sharp`` and so
+on, with changes to them, ``plain(relaxation=0.2, penalty=(10, 0))``; ``immersed`` is that of the flow, plain but for
+``sharp``, and options of the flow are taken too.
 """
 
 import ast
@@ -90,8 +91,9 @@ def setting_of(text: str) -> Setting:
         given["penalty"] = PenaltyRule(*given["penalty"])
     start = Setting()
     of_flow = {name: given.pop(name) for name in {f.name for f in fields(FlowOptions)} & set(given)}
-    immersed, name = given.pop("immersed", start.immersed), call.func.id
-    preset = CouplingOptions() if name == "default" else getattr(CouplingOptions, name, None)
+    name = call.func.id
+    immersed = given.pop("immersed", "jump and kink" if name == "sharp" else start.immersed)
+    preset = CouplingOptions() if name == "plain" else getattr(CouplingOptions, name, None)
     if preset is None:
         raise ValueError(f"{name!r} is no preset of CouplingOptions")
     options = (preset if isinstance(preset, CouplingOptions) else preset()).with_(**given)
@@ -138,7 +140,7 @@ def jobs(only: str) -> Iterator[tuple[str, str, tuple[str, ...], Scene, bool]]:
             yield "shifted", case, ("smallest", "largest", "ratio"), scene, True
 
 
-def main(settings: str = "default; converged", only: str = "", out: Path = Path("results/surface")) -> None:
+def main(settings: str = "plain; converged; sharp", only: str = "", out: Path = Path("results/surface")) -> None:
     """Run the scenes with the settings; print a table for each study as Markdown, and write them all as CSV.
 
     Args:

@@ -17,7 +17,7 @@ from coudalfish.sides.mesh_motion import check_levels
 from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides, undone
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Outcome, Start, Step
-from coudalfish.step.attempts import attempts
+from coudalfish.step.attempts import attempts, usual
 from coudalfish.step.levels import check_schemes
 from coudalfish.step.method import Attempt
 from coudalfish.step.options import CouplingOptions, PenaltyRule
@@ -47,7 +47,8 @@ class CouDALFISh(checks.Made):
             by hand.
         shell: the immersed structure, such as shnapr's ``Shell``, which gets the flow's time step and the companion of
             its scheme; or a :class:`ShellSubproblem`.
-        options: how they are coupled.
+        options: how they are coupled; None: ``CouplingOptions.sharp()`` where velocities may be kinked at the shell,
+            else ``CouplingOptions()``.
         multiplier: initial multiplier along the normals, a number or shape (points,), or where it is a vector also
             shape (points, d); unit: force/area.
 
@@ -80,18 +81,20 @@ class CouDALFISh(checks.Made):
         *,
         multiplier: float | FloatArray = 0.0,
     ) -> None:
-        self.options = CouplingOptions() if options is None else options
-        checks.kind("options", self.options, CouplingOptions, "CouplingOptions")
+        if options is not None:
+            checks.kind("options", options, CouplingOptions, "CouplingOptions")
         with undone(shell):
-            self._couple(fluid, shell, multiplier)
+            self._couple(fluid, shell, options, multiplier)
 
     def _couple(
         self,
         fluid: FluidSubproblem | ImmersedFlow,
         shell: ShellSubproblem | ImmersedShell,
+        options: CouplingOptions | None,
         multiplier: float | FloatArray,
     ) -> None:
         self.fluid, self.shell = both_sides(fluid, shell)
+        self.options = usual(self.fluid) if options is None else options
         self.mesh_f = self.fluid.mesh
         self.spline_sh = self.shell.spline
         self.timeInt_f = self.fluid.timeInt

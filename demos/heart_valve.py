@@ -73,7 +73,7 @@ class Valve:
         waveform: of the traction at the inlet, the published step or a smooth pulse.
         outlet_resistance: pressure by flow rate at the outlet [dyn s/cm^5].
         dt: time step [s].
-        preset: of the coupling: the published algorithm with its penalty, or this library's for loads that rest.
+        preset: of the coupling: the published algorithm with its penalty, or this library's for plain fields.
     """
 
     resolution: int = 16
@@ -84,7 +84,7 @@ class Valve:
     waveform: Literal["step", "pulse"] = "step"
     outlet_resistance: float = 0.0
     dt: float = 5e-5
-    preset: Literal["reference", "default"] = "default"
+    preset: Literal["reference", "plain"] = "plain"
 
     def __post_init__(self) -> None:
         for name, least in (("resolution", 4), ("leaflet_elements", 0), ("degree", 2)):
@@ -100,7 +100,7 @@ class Valve:
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
         solver = FlowOptions(solver=gmres_ilu(2, rtol=1e-5, rebuild_growth=1.5, fallback=direct()))
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
-        flow = Flow(mesh, conditions, **known, immersed=True, options=solver)
+        flow = Flow(mesh, conditions, **known, immersed="plain", options=solver)
         along = self.leaflet_elements or max(4, round(1.8 / size))
         elements = along, max(1 if self.leaflet_elements else 3, round(0.8 * along))
         geometry = disjoint(*surfaces.trileaflet(radius=data.radius, elements=elements, degrees=(self.degree,) * 2))

@@ -41,7 +41,7 @@ def build(
         return lambda x, t: getattr(problem.exact_flow(x, t, c), name)
 
     sides, ends = WeakVelocity(("left", "right", "bottom", "top"), exact("u")), Slip(("back", "front"))
-    known = {"rho": c.rho, "mu": c.mu, "f": exact("f"), "dt": data.T / steps, "immersed": True} | more
+    known = {"rho": c.rho, "mu": c.mu, "f": exact("f"), "dt": data.T / steps, "immersed": "plain"} | more
     scheme, chosen = generalized_alpha(data.rho_infinity), FlowOptions(pin_at=[0.0] * d, solver=solver)
     flow = Flow(mesh, [sides, ends] if d == 3 else [sides], **known, scheme=scheme, options=chosen)
     flow.start(exact("u"), exact("p"), projected=True)
@@ -54,7 +54,7 @@ def main(
     results: Results,
     dim: Literal[2, 3] = 2,
     level: int = 2,
-    preset: Literal["reference", "default", "sharp"] = "default",
+    preset: Literal["reference", "plain", "sharp"] | None = None,
     dt_factor: float = 1.0,
     initial_velocity: Literal["projected", "interpolated"] | None = None,
 ) -> dict[str, Any]:
@@ -63,16 +63,16 @@ def main(
     Args:
         dim: dimension of space, 2 or 3 (one layer).
         level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
-        preset: the published algorithm, the defaults, or in the plane fields that differ on both sides of the membrane.
+        preset: published, plain fields, or, the default in the plane, sharp ones with two sides of the membrane.
         dt_factor: time step relative to the published one, T/(2 N).
         initial_velocity: membrane velocity at t = 0, projected as in the published code or interpolated;
             default: projected for the reference preset, else interpolated.
     """
-    data, out, reference = problem.ProblemData(), results.out, preset == "reference"
+    data, out, preset = problem.ProblemData(), results.out, preset or ("sharp" if dim == 2 else "plain")
     steps = max(1, round(2 * problem.cells_per_side(level) / checks.positive("dt_factor", dt_factor)))
-    start = initial_velocity or ("projected" if reference else "interpolated")
-    presets = {"reference": CouplingOptions.reference, "default": CouplingOptions, "sharp": CouplingOptions.sharp}
-    options, immersed = presets[preset](), "jump and kink" if preset == "sharp" else True
+    start = initial_velocity or ("projected" if preset == "reference" else "interpolated")
+    presets = {"reference": CouplingOptions.reference, "plain": CouplingOptions, "sharp": CouplingOptions.sharp}
+    options, immersed = presets[preset](), "jump and kink" if preset == "sharp" else "plain"
     flow, shell, fsi = build(dim, level, steps, options, projected=start == "projected", data=data, immersed=immersed)
     fields = {"velocity": shell.time.xdot_old, "multiplier": lambda: fsi.lam, "normal": fsi.shell.normals}
     files = movie(flow, out / "fluid.vtkhdf"), partial(VTUSeries, out / "shell", shell.spline, y=shell.y, **fields)
@@ -92,7 +92,7 @@ def main(
         draw(out / "manufactured.png", left, lines(courses, **axes, styles={"exact": {"color": "0.6", "linewidth": 4}}))
     measured, true = (problem.errors(fsi, data, data.T, degree) for degree in (2, 8))
     qoi = against(measured, problem.PUBLISHED_CODE.get(level, {}), problem.DOI)
-    inputs = {"initial_velocity": start, "options": options}
+    inputs = {"preset": preset, "initial_velocity": start, "options": options}
     return results.of_run(run, doi=problem.DOI, qoi=qoi, errors=measured, errors_true=true, inputs=inputs)
 
 

@@ -6,15 +6,16 @@ from mpi4py import MPI
 from divided import CONVERGED, FLAP, INSIDE, LAGGED, TIGHT, channel, everything, line
 from test_repeated_steps import assert_same, assert_same_report, changed, interrupted
 
-from coudalfish import CouplingOptions, StepError
+from coudalfish import CouDALFISh, CouplingOptions, StepError
 from coudalfish.surface.distance import Curves
+from shnapr import ContactRecipe, LinearKernel, Shell, StVenantKirchhoff
 from tigar_x import compat
-from tigar_x.fem.linear import SolveError, gmres_ilu
+from tigar_x.fem.linear import SolveError, direct, gmres_ilu
 from tigar_x.geometry import shapes
 from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.multipatch import disjoint
 from tigar_x.geometry.patch import Patch
-from varmint import Traction, Velocity, box
+from varmint import Flow, FlowOptions, Traction, Velocity, box
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
@@ -190,7 +191,7 @@ def test_where_a_wall_holds_the_velocity_it_is_not_kinked():
 def test_a_sheet_between_walls_is_tight(walls):
     """It is held across a channel into which a pressure pushes; fields that know nothing of it let fluid pass."""
     leaks = []
-    for kind, options in (("jump and kink", CONVERGED), (True, CouplingOptions())):
+    for kind, options in (("jump and kink", CONVERGED), ("plain", CouplingOptions())):
         pushed = Traction("left", (1.0, 0.0))
         s = channel(ACROSS, inlet=pushed, walls=walls, immersed=kind, options=options, held=True)
         leaks.append(abs(steps(s, 10).monitors.leak))
@@ -235,7 +236,7 @@ def area(fsi):
 def test_a_closed_ring_of_several_patches_keeps_its_area():
     """A flow takes it along and deforms it; fields that know nothing of it let fluid pass."""
     changes = []
-    for kind, options in (("jump and kink", CONVERGED), (True, CouplingOptions())):
+    for kind, options in (("jump and kink", CONVERGED), ("plain", CouplingOptions())):
         s = channel(geometry=ring(), n=12, dt=0.02, clamped=(), immersed=kind, options=options)
         before = area(s.fsi)
         assert all(s.fsi.takeStep().attempts == 1 for _ in range(8))
@@ -246,6 +247,37 @@ def test_a_closed_ring_of_several_patches_keeps_its_area():
             assert counts.min() > 30
             assert counts[0] == counts[1] == counts[2]
     assert changes[0] < 0.1 * changes[1]
+
+
+@pytest.mark.mpi
+def test_sheets_that_run_into_each_other_press_the_fluid_out_and_touch():
+    """With what a flow and a shell get by themselves. Both are in one cell then; the fluid between them leaves as fast
+    as they come, and they part again. Without contact they come nearer."""
+    apart = []
+    for contact in (ContactRecipe(LinearKernel(0.06, 1e7), 0.072, spacing=None), None):
+        ends = [((x, 0.2), (x, 0.8)) for x in (0.4, 0.6)]
+        geometry, known = disjoint(*map(line, ends)), {"rho": 1.0, "mu": 0.01, "dt": 0.005}
+        mesh, walls = box(COMM, (0.0, 0.0), (1.0, 1.0), (8, 8)), [Velocity(("left", "right", "bottom", "top"))]
+        flow = Flow(mesh, walls, **known, immersed=True, options=FlowOptions(solver=direct(), pressure="pin"))
+        shell = Shell(geometry, StVenantKirchhoff(10.0, 0.3, 0.05), density=1000.0, contact=contact)
+        half = geometry.n // 2
+        shell.start(velocity=np.repeat([[1.0, 0.0], [-1.0, 0.0]], half, axis=0))
+        fsi, gaps = CouDALFISh(flow, shell), []
+        assert fsi.options == CouplingOptions.sharp()
+        for _ in range(28 if contact else 20):
+            report = fsi.takeStep()
+            assert report.attempts == 1
+            assert report.passes <= 4
+            x = shell.positions[:, 0]
+            gaps.append(x[len(x) // 2 :].min() - x[: len(x) // 2].max())
+            if contact is None and len(gaps) == 16:
+                fastest = np.abs(flow.w.x.array.reshape(-1, 3)[:, :2]).max()
+                assert COMM.allreduce(fastest, op=MPI.MAX) > 5.0  # 0.3 by 2 over the gap is 12
+        apart.append(gaps)
+    touching, free = apart
+    assert 0.03 < min(touching) < 0.06
+    assert touching[-1] > min(touching) + 0.02
+    assert free[-1] < 0.02
 
 
 def test_a_sheet_that_leaves_the_fluid_divides_what_is_left_in_it():
@@ -263,7 +295,7 @@ def test_a_sheet_that_is_nowhere_in_the_fluid_divides_nothing():
     """Dynamic sub-scales have no cross and Reynolds stress in flows without sides either."""
     away = {"clamped": (), "subscales": "dynamic"}
     s, other = (channel(((x, 0.5), (x + 0.4, 0.55)), **away) for x in (1.9, 1e3))
-    free = channel(((1.9, 0.5), (2.3, 0.55)), immersed=True, **away)
+    free = channel(((1.9, 0.5), (2.3, 0.55)), immersed="plain", **away)
     for each in (s, other, free):
         steps(each)
     assert not s.flow.sides.doubled.cells.any()

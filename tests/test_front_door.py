@@ -1,11 +1,14 @@
 """A flow and a shell are coupled as they are: same numbers as by hand, and what is forgotten or mixed up is refused."""
 
+import logging
+
 import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
 from dolfinx import mesh
 from scenes import free_sheet, sheet_in_flow
+from test_solids import HELD, SOFT, beam_mesh
 
 from coudalfish import CouDALFISh, CouplingOptions, FluidSubproblem, ShellSubproblem, SurfaceBand, fluid_side
 from shnapr.conditions import DeadLoad
@@ -14,8 +17,10 @@ from shnapr.svk import StVenantKirchhoff
 from tigar_x.fem.linear import direct
 from tigar_x.fem.schemes import backward_euler, companion, generalized_alpha
 from tigar_x.geometry import shapes
-from varmint.conditions import Resistance, Velocity, WeakVelocity
+from varmint.conditions import Resistance, Traction, Velocity, WeakVelocity
 from varmint.flow import Flow, FlowOptions
+from varmint.forms.motion import ElasticMotion, PrescribedMotion
+from varmint.forms.solids import Solid
 from varmint.mesh import box
 
 WORLD = MPI.COMM_WORLD
@@ -30,7 +35,7 @@ def stream(x, t):
     return ufl.as_vector([ufl.min_value(t, 1.0) * x[1] * (1.0 - x[1]), 0.0 * x[0]])
 
 
-def a_flow(*, enclosed=False, immersed=True, dt=DT, **options):
+def a_flow(*, enclosed=False, immersed="plain", dt=DT, **options):
     sides = [Velocity("left", stream), Velocity(("bottom", "top")), Resistance("right", 3.0)]
     if enclosed:
         sides = [WeakVelocity(("left", "right", "bottom", "top"), stream)]
@@ -278,3 +283,77 @@ def test_what_is_read_when_it_is_needed_can_be_set():
     flow.mu.value = shell.density.value = 0.5
     fsi.options, fsi.step_size = CouplingOptions.converged(), 0.1
     assert fsi.options.multiplier == "converged"
+
+
+# -- what a flow knows of a surface, and how it is coupled, where nobody says -----------------------------------------
+
+
+def open_flow(immersed=True, cell="triangle", **options):
+    known = {"rho": 1.0, "mu": 0.1, "dt": DT} | options
+    return Flow(box(WORLD, (0.0, 0.0), (1.0, 1.0), (4, 4), cell), OPEN, immersed=immersed, **known)
+
+
+OPEN = [Velocity("left", stream), Velocity(("bottom", "top")), Traction("right")]
+
+
+def test_a_flow_has_the_best_fields_that_it_can_have():
+    best, plain = open_flow(), open_flow("plain")
+    assert best.sides.is_kinked
+    assert best.scales is None
+    assert plain.sides is None
+    assert plain.scales is not None
+
+
+def with_a_solid():
+    """A beam, with which the fluid's mesh moves."""
+    given = {"mesh": beam_mesh(), "scheme": backward_euler()}
+    moving = ElasticMotion(given["mesh"], dict.fromkeys(HELD), DT, given["scheme"], cells=("fluid",))
+    options = {"rho": 1.0, "mu": 1.0, "dt": DT, "scheme": given["scheme"], "moving": moving}
+    return Flow(given["mesh"], [Velocity(HELD)], **options, solid=Solid(SOFT), immersed=True)
+
+
+def on_a_mesh_that_moves():
+    mesh, scheme = box(WORLD, (0.0, 0.0), (1.0, 1.0), (4, 4)), backward_euler()
+    moving = PrescribedMotion(mesh, lambda x, t: 0.1 * t * x, DT, scheme)
+    return Flow(mesh, OPEN, rho=1.0, mu=0.1, dt=DT, scheme=scheme, moving=moving, immersed=True)
+
+
+@pytest.mark.parametrize(
+    ("make", "wanted"),
+    [
+        (lambda: open_flow(degree=2), "degree = 2: degree 1"),
+        (lambda: open_flow(cell="quadrilateral"), "mesh: triangles in the plane"),
+        (lambda: open_flow(dt=None), "dt = None: a flow that advances in time"),
+        (lambda: a_flow(immersed=True), "conditions: no Resistance"),
+        (on_a_mesh_that_moves, "moving: a mesh that is fixed"),
+        (with_a_solid, "moving: a mesh that is fixed"),
+    ],
+    ids=["degree 2", "quadrilaterals", "steady", "resistance", "moving", "solid"],
+)
+def test_where_fields_cannot_differ_on_both_sides_they_are_plain_and_the_log_says_why(make, wanted, caplog):
+    with caplog.at_level(logging.INFO, logger="varmint"):
+        flow = make()
+    assert flow.sides is None
+    assert flow.is_immersed
+    (said,) = [record for record in caplog.records if record.name == "varmint.flow.checks"]
+    assert said.levelno == logging.INFO
+    assert said.getMessage() == f"fields at an immersed surface are 'plain': for others, {wanted} is required"
+
+
+def test_who_names_no_options_gets_those_that_suit_the_fields():
+    assert CouDALFISh(open_flow(), a_shell()).options == CouplingOptions.sharp()
+    assert CouDALFISh(open_flow("jump"), a_shell()).options == CouplingOptions()
+    assert CouDALFISh(open_flow("plain"), a_shell()).options == CouplingOptions()
+
+
+def test_scales_that_no_field_has_are_named(caplog):
+    """Those of the published algorithm as well, also where it is chosen later; it runs."""
+    CouDALFISh(open_flow("plain"), a_shell(), CouplingOptions.reference())
+    fsi = CouDALFISh(open_flow(), a_shell())
+    assert not caplog.records
+    fsi.options = CouplingOptions.reference()
+    assert fsi.takeStep().passes > 1
+    assert fsi.takeStep().attempts == 1
+    said = [record.getMessage() for record in caplog.records if "has no effect" in record.getMessage()]
+    assert len(said) == 1
+    assert said[0].startswith("scale_c = 0.001 has no effect: only plain fields")

@@ -105,7 +105,7 @@ def test_a_forgotten_solid_is_asked_for():
 
 
 def test_a_forgotten_band_is_asked_for():
-    flow = open_flow(immersed=True)
+    flow = open_flow(immersed="plain")
     handed_over(flow, band=SurfaceBand(flow.mesh.domain, flow.scales))
     with pytest.raises(ValueError, match=r"^band is not that of the flow: band=SurfaceBand\(mesh, flow.scales\) is re"):
         handed_over(flow, band=None)

@@ -43,6 +43,15 @@ def test_reference_preset_reproduces_the_published_algorithm(start, level, tmp_p
     assert 2.5 <= summary["block_iterations_mean"] <= 3.1
 
 
+def test_the_preset_is_the_best_that_there_is(tmp_path):
+    """Sharp in the plane and plain in space, where sharp is refused."""
+    chosen = {d: DEMO.main(dim=d, level=0, out=tmp_path / str(d), viz=False)["inputs"] for d in (2, 3)}
+    assert [chosen[d]["preset"] for d in (2, 3)] == ["sharp", "plain"]
+    assert [chosen[d]["options"]["multiplier"] for d in (2, 3)] == ["converged", "lagged"]
+    with pytest.raises(ValueError, match="immersed = 'jump and kink', mesh: triangles in the plane is required"):
+        DEMO.main(dim=3, level=0, preset="sharp", out=tmp_path / "no")
+
+
 def test_sharp_preset_has_errors_of_order_two_and_one(tmp_path):
     coarse, fine = (DEMO.main(level=k, preset="sharp", out=tmp_path / str(k), viz=False) for k in (2, 3))
     for norm, expected in {"L2_u": 4.42e-4, "H1_u": 0.0509, "L2_p": 2.51e-3, "L2_y": 2.58e-5}.items():
@@ -95,9 +104,9 @@ def test_a_relaxed_multiplier_leaks_but_keeps_the_orders_of_the_flow(dim):
     assert orders["L2_y"] >= 0.3
 
 
-def test_default_preset_converges(tmp_path):
+def test_plain_preset_converges(tmp_path):
     """With dt proportional to h over levels 2 to 5, and below the published code's errors at level 4 in every norm."""
-    summaries = [DEMO.main(level=level, out=tmp_path / str(level), viz=False) for level in (2, 3, 4, 5)]
+    summaries = [DEMO.main(level=n, preset="plain", out=tmp_path / str(n), viz=False) for n in (2, 3, 4, 5)]
     orders = fitted_orders(summaries)
     assert orders["H1_u"] >= 0.5
     assert orders["L2_u"] >= 1.0
@@ -130,7 +139,7 @@ def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
         return exact
 
     monkeypatch.setattr(problem, "exact_flow", wrong)
-    summaries = [DEMO.main(level=level, out=tmp_path / str(level), viz=False) for level in (2, 3, 4)]
+    summaries = [DEMO.main(level=n, preset="plain", out=tmp_path / str(n), viz=False) for n in (2, 3, 4)]
     orders = fitted_orders(summaries)
     assert orders["L2_u"] < 0.5
     assert orders["L2_y"] < 0.5
@@ -149,9 +158,9 @@ def test_every_number_of_ranks_gives_the_same_errors(dim, tmp_path, monkeypatch)
             return CouplingOptions(block_rtol=1e-11, block_atol=1e-14)
 
     monkeypatch.setattr(DEMO, "CouplingOptions", Tight)
-    parallel = DEMO.main(dim=dim, level=1, out=tmp_path, viz=False)["errors"]
+    parallel = DEMO.main(dim=dim, level=1, preset="plain", out=tmp_path, viz=False)["errors"]
     monkeypatch.setattr(DEMO, "MPI", SelfOnly)
-    alone = DEMO.main(dim=dim, level=1, out=tmp_path / "alone", viz=False)["errors"]
+    alone = DEMO.main(dim=dim, level=1, preset="plain", out=tmp_path / "alone", viz=False)["errors"]
     for norm in NORMS:
         assert parallel[norm] == pytest.approx(alone[norm], rel=1e-8), norm
 
@@ -162,7 +171,7 @@ class SelfOnly:
     COMM_WORLD = COMM_SELF = MPI.COMM_SELF
 
 
-@pytest.mark.parametrize("preset", ["reference", "default"])
+@pytest.mark.parametrize("preset", ["reference", "plain"])
 def test_the_profile_of_a_step_finds_all_its_parts(preset, tmp_path):
     """They are found by files and names of functions, which may change."""
     found = breakdown.main(level=1, preset=preset, steps=2, out=tmp_path)["shares"]

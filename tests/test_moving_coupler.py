@@ -65,7 +65,7 @@ def scene(motion=None, *, velocity=(0.0, 0.0), sheet_velocity=None, walls=None, 
         dt=DT,
         scheme=scheme,
         moving=moving,
-        immersed=True,
+        immersed="plain",
         options=FlowOptions(pressure="pin"),
     )
     flow.start(velocity if walls is None else walls)

@@ -197,22 +197,24 @@ def test_a_flag_starts_at_once_and_flaps_in_few_passes_at_its_time_step_and_at_t
 
 
 def test_a_setting_is_read_from_text():
-    assert setting_of("default").options == CouplingOptions()
+    assert setting_of("plain").options == CouplingOptions()
     assert setting_of("converged(trace='exact')").options == CouplingOptions.converged(trace="exact")
-    setting = setting_of("default(penalty=(10, 0), immersed='other', C_t=1.0)")
+    setting = setting_of("plain(penalty=(10, 0), immersed='other', C_t=1.0)")
     assert setting.options == CouplingOptions(penalty=PenaltyRule(10, 0))
     assert (setting.immersed, setting.flow.C_t) == ("other", 1.0)
     assert setting.flow.solver == Setting().flow.solver
+    fields = {text: setting_of(text).immersed for text in ("plain", "sharp", "sharp(immersed='jump')")}
+    assert list(fields.values()) == ["plain", "jump and kink", "jump"]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("unknown", "'unknown' is no preset"),
-        ("default(1)", "preset or preset"),
-        ("'default'", "preset or preset"),
-        ("default(trace=print())", "malformed"),
-        ("default(nothing=1)", "nothing is no option"),
+        ("plain(1)", "preset or preset"),
+        ("'plain'", "preset or preset"),
+        ("plain(trace=print())", "malformed"),
+        ("plain(nothing=1)", "nothing is no option"),
     ],
 )
 def test_a_text_that_is_no_setting_is_refused(text, message):

@@ -12,9 +12,9 @@ from tigar_x.compat.release import VERSION
 
 TEXT = (ROOT / "README.md").read_text()
 EXAMPLES = [code for language, code in blocks(ROOT / "README.md") if language == "python"]
-TIP, FORCE = (0.46136991549, -0.27993573893), (0.77553107839, -0.17692720889)
+TIP, FORCE = (0.4627160978, -0.2832567988), (0.7547732364, -0.1703668213)
 """Of the coupled run; dolfinx 0.5.2."""
-DIGITS = 1e-9 if VERSION < (0, 6) else 1e-5
+DIGITS = 1e-7 if VERSION < (0, 6) else 1e-5  # of the linear solver, which a converged multiplier takes
 
 
 def example(i, folder, monkeypatch):

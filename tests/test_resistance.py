@@ -123,7 +123,7 @@ def test_a_sheet_in_a_duct_does_not_feel_the_size_of_a_resistance(solver):
     for R in (0.0, 1e5, 1e8):
         mesh = duct_mesh(2)
         conditions = [Velocity(("bottom", "top")), Velocity("left", inflow), Resistance("right", R)]
-        flow = Flow(mesh, conditions, rho=1.0, mu=MU, dt=0.02, immersed=True, options=FlowOptions(solver=solver))
+        flow = Flow(mesh, conditions, rho=1.0, mu=MU, dt=0.02, immersed="plain", options=FlowOptions(solver=solver))
         sheet = free_sheet(ends=((0.9, 0.2), (1.0, 0.7)), dt=0.02)
         fsi = CouDALFISh(flow, sheet.shell)
         passes.append(sum(fsi.takeStep().passes for _ in range(4)))

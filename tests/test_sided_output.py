@@ -115,7 +115,7 @@ def test_every_time_has_the_pieces_of_its_own_cells(path):
 
 def test_series_of_one_mesh_and_of_many_are_not_continued_as_the_other(swept, path):
     flow, _ = swept
-    plain, _ = membrane(True, level=1, multiplier_direction="normal", trace="nodes")
+    plain, _ = membrane("plain", level=1, multiplier_direction="normal", trace="nodes")
     with movie(flow, path)() as series:
         series.write(0.0)
     with pytest.raises(ValueError, match="with a mesh for every time was found"):

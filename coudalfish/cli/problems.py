@@ -83,7 +83,7 @@ def _shear() -> Flow:
         return ufl.as_vector([x[1], 0.0 * x[0]])
 
     walls = [Velocity(("left", "right", "bottom", "top"), velocity)]
-    flow = Flow(channel, walls, rho=1.0, mu=MU, dt=DT, immersed=True, options=FlowOptions(pressure="pin"))
+    flow = Flow(channel, walls, rho=1.0, mu=MU, dt=DT, immersed="plain", options=FlowOptions(pressure="pin"))
     flow.start(velocity)
     return flow
 

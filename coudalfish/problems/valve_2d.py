@@ -57,6 +57,21 @@ def off_body_fitted(t: FloatArray, x: FloatArray) -> dict[str, float]:
     return {f"top_rms_{of}": Course(within.t, (within.y - there) ** 2).mean ** 0.5 for of, there in exact.items()}
 
 
+def swings(tip: Course) -> dict[str, float]:
+    """Peaks and troughs of a tip's displacement along the channel, a period apart, with their times, and its end.
+
+    Args:
+        tip: its course.
+
+    Returns:
+        By name, such as "peak_1", "peak_1_time", "trough_1" and "end".
+    """
+    found = {"end": float(tip.y[-1])}
+    for name, extreme in tip.extremes(1.0, 0.6, accuracy=READING).items():
+        found |= {name: extreme.value, f"{name}_time": extreme.t}
+    return found
+
+
 def known_points() -> dict[str, tuple[Any, Any]]:
     """Times and displacements of the top tip along the channel, for pictures, by what they are."""
     t, x = (body_fitted()[name][7::8] for name in ("t", "thin_x"))

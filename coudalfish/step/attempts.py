@@ -1,5 +1,6 @@
 """Which attempts a step gets, by the options of the coupling: what fails falls back to a multiplier that lags."""
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,8 @@ from coudalfish.step.method import Attempt, Stepping
 from coudalfish.step.options import CouplingOptions, PenaltyRule
 from coudalfish.surface.exchange import along_normals
 from coudalfish.surface.multiplier import Multiplier, held_points
+
+log = logging.getLogger(__name__)
 
 
 class Lagged:
@@ -31,6 +34,11 @@ class Lagged:
         return Multiplier(along_normals(step.lam, step.n), step.n, sheets, vertex_functions=means, **of_points)
 
 
+UNUSED = (
+    "%s = %g has no effect: only plain fields are scaled near the surface, as the published algorithm's are,"
+    " Flow(..., immersed='plain')"
+)
+
 FALLBACK: dict[str, Any] = {
     "multiplier": "lagged",
     "multiplier_direction": "normal",
@@ -41,6 +49,16 @@ FALLBACK: dict[str, Any] = {
 """What a step is coupled by that has failed with a converged multiplier: a lag needs a penalty that knows dt."""
 
 
+def usual(fluid: FluidSubproblem) -> CouplingOptions:
+    """The options of who names none.
+
+    Args:
+        fluid: the flow.
+    """
+    kinked = fluid.sides is not None and fluid.sides.is_kinked
+    return CouplingOptions.sharp() if kinked else CouplingOptions()
+
+
 def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubproblem) -> Sequence[Attempt]:
     """The ways to take a step, each where those before have failed; the first one is what the options ask for.
 
@@ -49,6 +67,10 @@ def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubpr
         fluid: the flow.
         shell: the immersed structure.
     """
+    if fluid.sides is not None:
+        for name in ("scale_m", "scale_c"):
+            if (chosen := getattr(options, name)) != getattr(CouplingOptions, name):
+                log.warning(UNUSED, name, chosen)
     lagged = Lagged(smoothed=options.relaxation_mode == "smoothed" and options.relaxation > 0.0)
     if options.multiplier == "lagged":
         return (Attempt(lagged, options),)

@@ -54,7 +54,7 @@ class CouplingOptions:
             the fluid's mesh, which does not leak: r may be 0.1 to 1; "uniform" damps all of it and leaks.
         trace: what the shell's points see of the fluid's velocity: that at the "nodes" where they are, or the "exact"
             average over their hat functions on a curve in the plane, which also gives them their areas.
-        scale_m: factor of tau_M in the band around the surface, in (0, 1].
+        scale_m: factor of tau_M in the band around the surface of plain fields, in (0, 1].
         scale_c: divisor of tau_C there, in (0, 1].
         fluid_tangent: penalty tangent of the fluid, "lumped" (its row sums) or "consistent".
         normal: shell normals from the "predictor" of the step or from the present "iterate".
@@ -159,6 +159,8 @@ class CouplingOptions:
     @classmethod
     def reference(cls, **changes: Any) -> "CouplingOptions":
         """The published algorithm (doi:10.1016/j.camwa.2020.01.023): its equations and its stopping test.
+
+        Its fields are those of ``Flow(..., immersed="plain")``.
 
         Args:
             changes: other options, such as the penalty of a published run.

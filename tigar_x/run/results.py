@@ -187,7 +187,7 @@ def with_results(main: Callable[..., Any] | None = None, **shared: Any) -> Calla
 
     The script is called by the name of its file, and its folder is ``results/NAME`` unless another is given. An option
     that is annotated as a ``Literal`` has to be one of its values. In place of an argument whose annotation is a
-    dataclass the function has the dataclass's fields as options.
+    dataclass the function has the dataclass's fields as options, and the inputs are what it makes of them.
 
     Args:
         main: the script's function: ``results`` first, then its options, each with a default.
@@ -229,6 +229,7 @@ def with_results(main: Callable[..., Any] | None = None, **shared: Any) -> Calla
         for key, value in given.items():
             _check_choice(key, value, options[key][0])
         made = {k: kind(**{f.name: given[f.name] for f in fields(kind) if f.init}) for k, kind in kinds.items()}
+        given |= {f.name: getattr(made[k], f.name) for k, kind in kinds.items() for f in fields(kind) if f.init}
         own = {argument.name: made.get(argument.name, given.get(argument.name)) for argument in arguments}
         return main(Results(name, given, **(ours | {"out": Path(ours["out"])})), **own)
 

@@ -1,5 +1,6 @@
 """Checks of a flow before anything is computed."""
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,11 +10,16 @@ from mpi4py import MPI
 from tigar_x import checks, compat
 from tigar_x.fem.schemes import Scheme, companion, require_scheme
 from tigar_x.fem.time_integration import TimeIntegrator
-from varmint.conditions import Condition
+from varmint.conditions import Condition, Resistance
 from varmint.flow.options import FlowOptions
 from varmint.forms.motion import ElasticMotion, MeshMotion
 from varmint.forms.solids import Solid
 from varmint.mesh.named import NamedMesh, require_named
+
+log = logging.getLogger(__name__)
+
+AT_SURFACE = ("plain", "jump", "jump and kink")
+"""What the fields of a flow may know of an immersed surface."""
 
 
 def check_kinds(mesh: Any, conditions: Any, scheme: Any, moving: Any, solid: Any, options: Any) -> None:
@@ -127,3 +133,53 @@ def check_cover(mesh: NamedMesh, conditions: Sequence[Condition]) -> None:
             if name in seen:
                 raise ValueError(f"facet group {name!r} has two conditions: one is allowed")
             seen.add(name)
+
+
+def fields_at_surface(
+    immersed: Any,
+    mesh: NamedMesh,
+    conditions: Sequence[Condition],
+    *,
+    degree: int,
+    dt: float | None,
+    moving: Any,
+    solid: Any,
+) -> str | None:
+    """What the fields of a flow know of a surface that is immersed in it: the best that the flow can have by default.
+
+    Args:
+        immersed: True, or one of ``AT_SURFACE``; False: there is no surface.
+        mesh: of the flow.
+        conditions: on its boundary.
+        degree: of its fields.
+        dt: time step; None: steady flow.
+        moving: motion of the mesh; None: it is fixed.
+        solid: solid in the flow; None: none.
+
+    Returns:
+        One of ``AT_SURFACE``; None: there is no surface.
+
+    Raises:
+        ValueError: the choice is none, or what it names is not possible in this flow.
+    """
+    kind = checks.choice("immersed", immersed, (False, True, *AT_SURFACE))
+    reasons = (
+        (dt is None, "dt = None: a flow that advances in time"),
+        (degree != 1, f"degree = {degree}: degree 1"),
+        (compat.cell_name(mesh.domain) != "triangle", "mesh: triangles in the plane"),
+        (moving is not None, "moving: a mesh that is fixed"),
+        (solid is not None, "solid: None"),
+        (any(isinstance(condition, Resistance) for condition in conditions), "conditions: no Resistance"),
+    )
+    missing = next((what for found, what in reasons if found), None)
+    if kind is False:
+        return None
+    if kind is not True:
+        if missing and kind != "plain":
+            raise ValueError(f"immersed = {kind!r}, {missing} is required")
+        return str(kind)
+    if missing:
+        log.info("fields at an immersed surface are 'plain': for others, %s is required", missing)
+        return "plain"
+    log.info("fields at an immersed surface are 'jump and kink'")
+    return "jump and kink"

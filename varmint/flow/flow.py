@@ -18,7 +18,7 @@ from tigar_x.fem.schemes import Scheme, generalized_alpha
 from tigar_x.fem.solve import FiniteElementSystem, NewtonReport, newton
 from varmint.conditions import Condition, Data
 from varmint.flow.attachments import OutletPressure, SolidInFlow
-from varmint.flow.checks import check_clock, check_cover, check_kinds, check_numbers
+from varmint.flow.checks import check_clock, check_cover, check_kinds, check_numbers, fields_at_surface
 from varmint.flow.clock import FlowNeeds, FlowTime
 from varmint.flow.options import (
     STALLED,
@@ -63,9 +63,10 @@ class Flow(checks.Made):
         f: body force per mass; None: none.
         moving: motion of the mesh, with the same time step and scheme; None: it is fixed.
         solid: elastic solid in some cells of the mesh, which ``moving`` has to leave out; None: fluid alone.
-        immersed: whether a surface may be immersed in the flow, whose equations then have factors of the stabilisation
-            parameters near it; or what differs on both sides of it instead, the "jump" of the pressure, or the "jump
-            and kink" of pressure and velocity: of degree 1 on triangles whose mesh does not move.
+        immersed: whether a surface may be immersed in the flow, with the best fields that the flow can have; or which:
+            "jump and kink" if pressure and velocity gradient differ on both sides (of degree 1 on triangles whose mesh
+            does not move, without a solid and Resistance), "jump" if the pressure does, "plain" if the equations have
+            factors of the stabilisation parameters near the surface instead.
         options: see there.
 
     Attributes:
@@ -110,7 +111,7 @@ class Flow(checks.Made):
         f: Data = None,
         moving: PrescribedMotion | ElasticMotion | None = None,
         solid: Solid | None = None,
-        immersed: bool | Literal["jump", "jump and kink"] = False,
+        immersed: bool | Literal["plain", "jump", "jump and kink"] = False,
         options: FlowOptions | None = None,
     ) -> None:
         self.options = FlowOptions() if options is None else options
@@ -120,18 +121,19 @@ class Flow(checks.Made):
         check_numbers(rho, mu, dt, scheme, moving, solid)
         check_cover(mesh, conditions)
         self.mesh, self.conditions, self.degree, self.moving = mesh, tuple(conditions), degree, moving
-        kind = checks.choice("immersed", immersed, (False, True, "jump", "jump and kink"))
+        kind = fields_at_surface(immersed, mesh, self.conditions, degree=degree, dt=dt, moving=moving, solid=solid)
+        is_sided = kind is not None and kind != "plain"
         state = FlowState.at_rest(
             mesh, rho, mu, degree=degree, dt=dt, scheme=scheme, moving=moving, solid=solid,
-            is_sided=isinstance(kind, str), options=self.options,
+            is_sided=is_sided, options=self.options,
         )  # fmt: skip
         self._state, self.V, self.w, self.time, self.fields = state, state.V, state.w, state.time, state.fields
         self.rho, self.mu, self.v, self.p = self.fields.rho, self.fields.mu, self.fields.v, self.fields.p
         force = None if f is None else self.fields.vector("f", f)
         self._solid = SolidInFlow(solid, state, moving, force) if solid and isinstance(moving, ElasticMotion) else None
-        self.scales = surface_scales(mesh.domain) if kind is True else None
+        self.scales = surface_scales(mesh.domain) if kind == "plain" else None
         scale_m, scale_c = self.scales or (None, None)
-        self._interior = Interior(state, self.options, force, scale_m, scale_c, isinstance(kind, str))
+        self._interior = Interior(state, self.options, force, scale_m, scale_c, is_sided)
         self.terms: list[Term] = [(("fluid",), self._interior.residual(self.v))]
         follow = getattr(state.time, "follow", None)
         if follow is not None:  # dynamic sub-scales
@@ -140,7 +142,7 @@ class Flow(checks.Made):
             self.terms.append((("solid",), self._solid.residual))
         boundary, self._outlets = boundary_terms(self.conditions, state)
         self.terms += boundary
-        self.sides = self._sides(kind, solid) if isinstance(kind, str) else None
+        self.sides = self._sides(str(kind)) if is_sided else None
         values, self.updates = strong_values(self.conditions, state)
         self._bcs = values if self._solid is None else [self._solid.condition, *values]
         # a solid that can be compressed determines the pressure of a fluid that is enclosed with it
@@ -151,11 +153,10 @@ class Flow(checks.Made):
             self.time.needs = FlowNeeds(*hooks, bcs, moving, solver, *fluid, *surface)
         self._is_made = True
 
-    def _sides(self, kind: str, solid: Any) -> Any:
+    def _sides(self, kind: str) -> Any:
         """What differs on both sides of a surface."""
-        from varmint.flow.sides import FlowSides, check_immersed  # other flows need nothing of it
+        from varmint.flow.sides import FlowSides  # other flows need nothing of it
 
-        check_immersed(self._state, self.conditions, kind, solid)
         return FlowSides(self._state, self._interior, self.conditions, kind)
 
     @property

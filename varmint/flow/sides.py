@@ -17,7 +17,7 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.divided import Doubled
 from tigar_x.fem.time_integration import TimeIntegrator
-from varmint.conditions import Condition, Resistance
+from varmint.conditions import Condition
 from varmint.flow.sided_time import SidedTime
 from varmint.flow.sided_values import SidedValues
 from varmint.flow.state import FlowState
@@ -133,7 +133,7 @@ class FlowSides(SidedValues):
             Function without arguments (collective), which gives shape (nodes, d).
         """
         kept = [form for groups, form in self.terms if not set(groups) & set(names)]
-        forms = [compat.PartialForm(form) for form in (plain, sum(kept[1:], kept[0]))]
+        forms = compat.partial_forms(plain, sum(kept[1:], kept[0]))
         total, m = fem.Function(self._state.V), self._d + 1
 
         def rows() -> FloatArray:
@@ -162,11 +162,9 @@ class FlowSides(SidedValues):
         plain = f(*split(self._state.w), ufl.conditional(ufl.gt(self.size, 0.0), side, 0.0))
         divided = sum(self.weight(s) * f(*self.fields(s), s) for s in SIGNS)
         mesh, cells = self._state.mesh, self.doubled.cells
-        parts = (
-            (plain * mesh.dx(degree=degree), ~cells),
-            (divided * mesh.dx(degree=max(degree, self._degree)), cells),
-        )
-        return float(sum(compat.assemble_scalar(compat.PartialForm(form).on(chosen)) for form, chosen in parts))
+        finer = divided * mesh.dx(degree=max(degree, self._degree))
+        parts = zip(compat.partial_forms(plain * mesh.dx(degree=degree), finer), (~cells, cells), strict=True)
+        return float(sum(compat.assemble_scalar(form.on(chosen)) for form, chosen in parts))
 
     def _parts(self, f: Any) -> tuple[Any, Any, Any, Any]:
         """Velocity, pressure, kink and jump of a field of divided cells."""
@@ -200,28 +198,3 @@ class FlowSides(SidedValues):
     @property
     def _tests(self) -> tuple[Any, Any, Any, Any]:
         return self._parts(ufl.TestFunction(self._both.function_space))
-
-
-def check_immersed(state: FlowState, conditions: Sequence[Condition], kind: str, solid: Any) -> None:
-    """Check that what differs on both sides of a surface can do so in a flow.
-
-    Args:
-        state: of the flow.
-        conditions: on its boundary.
-        kind: one of ``KINDS``.
-        solid: solid in the flow; None: none.
-
-    Raises:
-        ValueError: it cannot.
-    """
-    reasons = (
-        (state.time is None, "dt = None: a flow that advances in time"),
-        (state.degree != 1, f"degree = {state.degree}: degree 1"),
-        (compat.cell_name(state.mesh.domain) != "triangle", "mesh: triangles in the plane"),
-        (state.moving is not None, "moving: a mesh that is fixed"),
-        (solid is not None, "solid: None"),
-        (any(isinstance(condition, Resistance) for condition in conditions), "conditions: no Resistance"),
-    )
-    for found, what in reasons:
-        if found:
-            raise ValueError(f"immersed = {kind!r}, {what} is required")
