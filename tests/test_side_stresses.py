@@ -61,6 +61,6 @@ def test_the_stresses_of_both_sides_are_the_force_of_the_coupling(swept):
 
 
 def test_a_flow_that_is_the_same_on_both_sides_has_no_such_stresses():
-    _, fsi = membrane(True, level=1, multiplier_direction="normal", trace="nodes")
+    _, fsi = membrane("plain", level=1, multiplier_direction="normal", trace="nodes")
     with pytest.raises(ValueError, match="jump and kink"):
         side_stresses(fsi)
