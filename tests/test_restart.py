@@ -75,16 +75,19 @@ class Fallen:
         return report
 
 
+def on_moving_mesh(motion):
+    """A sheet on a mesh that moves; means over its vertices would feel what is left of solves tenfold."""
+    return moving.scene(motion, sheet_velocity=(0.5, 0.0), n=4, options=moving.TIGHT.with_(relaxation=0.0))
+
+
 COUPLED = {
     "plain": lambda: restarted.scene().fsi,
     "taylor_hood": lambda: restarted.scene(taylor_hood=True).fsi,
     "rational": lambda: restarted.scene(weights=rational).fsi,
     "default": lambda: restarted.scene(options=None).fsi,
     "contact": lambda: approaching(speed=6.0, dt=0.004, options=restarted.TIGHT).fsi,  # in steps 4 and 5
-    "moving": lambda: moving.scene(moving.prescribed(moving.bubble), sheet_velocity=(0.5, 0.0), n=4),
-    "elastic": lambda: moving.scene(  # means over vertices would feel the mesh's 1e-10 tenfold
-        elastic, sheet_velocity=(0.5, 0.0), n=4, options=moving.TIGHT.with_(relaxation=0.0)
-    ),
+    "moving": lambda: on_moving_mesh(moving.prescribed(moving.bubble)),
+    "elastic": lambda: on_moving_mesh(elastic),
     "both sides": lambda: membrane("jump and kink", level=1, block_rtol=1e-10)[1],
     "dynamic": dynamic,
     "fallen": lambda: Fallen().fsi,
