@@ -30,6 +30,7 @@ from tigar_x.fem.linear import direct
 from tigar_x.geometry import multipatch, shapes
 from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.patch import Patch
+from tigar_x.run.course import Course
 from tigar_x.run.progress import Stopwatch
 from varmint import Flow, FlowOptions, Slip, Traction, Velocity, box, flow_rate
 from varmint.mesh.named import grid
@@ -601,13 +602,12 @@ class Flag:
         for _ in range(round(self.until / self.dt)):
             scene.step(lambda: end + scene.shell.at("u1").displacement[1])
         late = scene.reports[len(scene.reports) // 2 :]
-        y = np.array([report.measured for report in late])
-        rises = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
-        times = rises - y[rises] / (y[rises + 1] - y[rises])
+        course = Course([report.t for report in late], [report.measured for report in late])
+        rises = course.rises(0.0)
         monitors = [report.monitors for report in scene.reports if report.monitors]
         return scene.found(
-            amplitude=0.5 * float(np.ptp(y)),
-            period=float(np.diff(times).mean()) * self.dt if len(times) > 1 else math.nan,
+            amplitude=0.5 * float(np.ptp(course.y)),
+            period=float(np.diff(rises).mean()) if len(rises) > 1 else math.nan,
             drag=float(np.mean([each.force[0] for each in monitors[len(scene.reports) // 2 :]])),
             leak=max(abs(each.leak) for each in monitors),
         )

@@ -20,3 +20,10 @@ def logging_as_it_was():
     for name in _levels():
         logging.getLogger(name).setLevel(levels.get(name, logging.NOTSET))
     logging.root.handlers[:] = [handler for handler in logging.root.handlers if handler in handlers]
+
+
+@pytest.fixture
+def warned(caplog):
+    """The warnings of the coupling so far; on other ranks than the first there are none."""
+    caplog.set_level(logging.WARNING, logger="coudalfish")
+    return lambda: [record.getMessage() for record in caplog.records if record.name.startswith("coudalfish")]

@@ -1,6 +1,5 @@
 """A multiplier that is converged in the step: what it is made of, what it solves, and what it falls back to."""
 
-import logging
 from itertools import pairwise
 
 import numpy as np
@@ -33,13 +32,6 @@ from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
 
 TIGHT = CouplingOptions.converged(block_rtol=1e-9, block_atol=1e-13)
-
-
-@pytest.fixture
-def warned(caplog):
-    """The warnings of the coupling so far; on other ranks than the first there are none."""
-    caplog.set_level(logging.WARNING, logger="coudalfish")
-    return lambda: [record.getMessage() for record in caplog.records if record.name.startswith("coudalfish")]
 
 
 def in_flow(options=TIGHT, **changes):

@@ -12,7 +12,7 @@ from coudalfish import CouplingOptions, PenaltyRule
 from varmint import FlowOptions
 
 CONVERGED = Setting(CouplingOptions.converged())
-SHARP = Setting(CouplingOptions.sharp(), "jump and kink")
+SHARP = setting_of("sharp")
 
 
 # -- at rest ----------------------------------------------------------------------------------------------------------

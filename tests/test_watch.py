@@ -1,6 +1,5 @@
 """What a coupled run warns of, what it does not warn of, and whom it suspects when a step fails."""
 
-import logging
 import math
 from types import SimpleNamespace
 
@@ -32,13 +31,6 @@ from tigar_x.splines.spline import ExtractedSpline
 from varmint import conditions
 from varmint.flow import Flow, FlowOptions
 from varmint.mesh import box
-
-
-@pytest.fixture
-def warned(caplog):
-    """The warnings of the coupling so far; on other ranks than the first there are none."""
-    caplog.set_level(logging.WARNING, logger="coudalfish")
-    return lambda: [record.getMessage() for record in caplog.records if record.name.startswith("coudalfish")]
 
 
 def said(texts, *parts):

@@ -131,7 +131,5 @@ class MeetsByAverages:
         W = np.asarray(np.bincount(point, areas, self._points), dtype=np.float64)
         W[TOUCHING * self._whole > W] = 0.0
         inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
-        order = np.argsort(point.astype(np.uint16) if self._points < 2**16 else point, kind="stable")
-        starts = np.append(0, np.cumsum(np.bincount(point, minlength=self._points))).astype(np.int32)
-        data = (areas * inverse[point])[order]
-        return W, sp.csr_matrix((data, (order // 2).astype(np.int32), starts), shape=(self._points, len(at)))
+        starts = np.arange(0, len(point) + 1, 2)
+        return W, sp.csr_matrix((areas * inverse[point], point, starts), shape=(len(at), self._points)).T.tocsr()

@@ -38,7 +38,7 @@ class Interior:
     f: Any
     scale_m: Any
     scale_c: Any
-    is_sided: bool = False
+    is_sided: bool
 
     def residual(self, v_tau: Any) -> ufl.Form:
         """Residual in the fluid.

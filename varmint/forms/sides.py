@@ -106,8 +106,8 @@ def sided_residual(
     """Residual in cells that are divided: Galerkin terms, SUPG, PSPG and grad-div on either side.
 
     Cross stress and Reynolds stress are left out, with which impulsive starts fail. About half of what flows through a
-    gap of one cell between two ends is mass flux of PSPG, tau_M times slopes of the pressure: so tau_M does not know
-    the time step here, and is half of what it is elsewhere. Kinks in cells of which one side is small are as good as
+    gap of one cell between two ends is mass flux of PSPG, tau_M times slopes of the pressure: so tau_M here is half of
+    what it would be in steady flow, and a time step at most. Kinks in cells of which one side is small are as good as
     free, and are therefore smoothed by ``smoothing mu (h/l)^2 grad a : grad b`` over whole cells.
 
     Args:
