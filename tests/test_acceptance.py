@@ -3,7 +3,7 @@
 import pytest
 
 from coudalfish import CouplingOptions
-from coudalfish.step.acceptance import GROWTH_LIMIT, STALL, Acceptance
+from coudalfish.step.acceptance import GROWTH_LIMIT, RISE_LIMIT, STALL, Acceptance
 from coudalfish.step.report import RejectedStepError
 
 RTOL = 0.1
@@ -83,6 +83,26 @@ def test_a_residual_that_grows_without_bound_rejects_the_step_and_names_its_bloc
     with pytest.raises(RejectedStepError, match=r"grew 1.\de\+03 times in 3 passes") as caught:
         judge.test(norms, COUPLING, no_floors)
     assert caught.value.block == block
+
+
+@pytest.mark.parametrize(("factors", "block"), [((1.1, 0.9), "fluid"), ((0.9, 1.1), "shell")])
+def test_newtons_method_is_given_up_where_a_residual_rises_again(factors, block):
+    """Above the least one after the first pass; what the first pass does to a residual is no rise."""
+    judge = acceptance(multiplier="converged", block_rtol=1e-6)
+    for norms in ((0.01, 0.01), (4.0, 2.0), (40.0, 20.0), (4.4, 2.2)):
+        judge.test(norms, COUPLING, no_floors)
+    above = 4.0 * factors[0] * RISE_LIMIT, 2.0 * factors[1] * RISE_LIMIT
+    with pytest.raises(RejectedStepError, match=r"pass 4 is 22 times one before") as caught:
+        judge.test(above, COUPLING, no_floors)
+    assert caught.value.block == block
+
+
+def test_residuals_that_rise_below_their_limits_or_of_solves_in_turn_are_none_of_an_iteration_that_wanders():
+    rises = (4.0, 1.0), (1e-5, 1e-5), (0.02, 0.02), (30.0, 0.5)
+    assert limits(acceptance(multiplier="lagged"), *rises)[-1] == (0.4, 0.1)
+    small = acceptance(multiplier="converged", block_rtol=0.1)
+    assert small.test((4.0, 1.0), COUPLING, no_floors) is False
+    assert [small.test(norms, COUPLING, no_floors) for norms in rises[1:3]] == [True, True]
 
 
 def test_a_pass_that_reduces_one_residual_too_little_stalls():

@@ -73,11 +73,15 @@ def test_leaflets_that_would_swing_through_the_walls_are_met_where_they_were(war
 
 
 def test_a_membrane_that_viscosity_hardly_holds_gets_second_attempts(warned):
-    """All attempts fail with cross and Reynolds stress of the sub-scales in cells that are not divided."""
+    """All attempts fail with cross and Reynolds stress of the sub-scales in cells that are not divided.
+
+    An attempt that wanders finds another solution (error .024 and more), or none, as rounding decides: it must end.
+    """
     data = problem.ProblemData(mu=1e-3)
     known = {"projected": False, "data": data, "immersed": "jump and kink"}
     _, _, fsi = load_demo("manufactured").build(2, 2, 2, CouplingOptions.sharp(), direct(), **known)
-    assert max(fsi.takeStep().attempts for _ in range(2)) == 2
+    reports = [fsi.takeStep() for _ in range(2)]
+    assert [(report.attempts, report.passes) for report in reports] == [(2, 3), (2, 3)]
     assert problem.errors(fsi, data, fsi.timeInt_f.time, 2)["L2_u"] < 0.01
     if MPI.COMM_WORLD.rank == 0:
         assert any("assemble tangents in every pass" in text for text in warned())

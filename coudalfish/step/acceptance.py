@@ -8,6 +8,9 @@ from coudalfish.step.report import RejectedStepError
 
 GROWTH_LIMIT = 1e3
 """Growth of a residual within a step at which the step is given up."""
+RISE_LIMIT = 20.0
+"""Growth above the least residual after the first pass at which a step of a converged multiplier is given up: such an
+iteration wanders, rounding decides whether and where it ends. Steps that are accepted have known at most 3.1."""
 STALL = 0.5
 """Tangents that are kept during a step are assembled anew when a pass reduces a residual by less than this."""
 BLOCKS = ("fluid", "shell")
@@ -73,6 +76,10 @@ class Acceptance:
                 raise RejectedStepError(
                     block, f"the residual grew {self._ratio(i):.3g} times in {len(self.history) - 1} passes"
                 )
+            if norms[i] > self.limits[i] and self._rise(i) > RISE_LIMIT:
+                raise RejectedStepError(
+                    block, f"the residual of pass {len(self.history) - 1} is {self._rise(i):.3g} times one before"
+                )
         return self._small(norms)
 
     def _small(self, norms: Pair) -> bool:
@@ -86,6 +93,11 @@ class Acceptance:
 
     def _ratio(self, i: int) -> float:
         return self.history[-1][i] / self._first[i] if self._first[i] else 0.0
+
+    def _rise(self, i: int) -> float:
+        """The last residual by the least one between it and the first, of an iteration of Newton's; otherwise 0."""
+        least = min((norms[i] for norms in self.history[1:-1]), default=0.0)
+        return self.history[-1][i] / least if least and self._options.multiplier == "converged" else 0.0
 
     @property
     def stalled(self) -> bool:
