@@ -103,6 +103,8 @@ def test_residuals_that_rise_below_their_limits_or_of_solves_in_turn_are_none_of
     small = acceptance(multiplier="converged", block_rtol=0.1)
     assert small.test((4.0, 1.0), COUPLING, no_floors) is False
     assert [small.test(norms, COUPLING, no_floors) for norms in rises[1:3]] == [True, True]
+    beside = acceptance(multiplier="converged", block_rtol=0.1)  # the other one is above its limit
+    assert limits(beside, (4.0, 1.0), (1e-5, 0.5), (0.02, 0.5))[-1] == (0.4, 0.1)
 
 
 def test_a_pass_that_reduces_one_residual_too_little_stalls():

@@ -10,7 +10,7 @@ GROWTH_LIMIT = 1e3
 """Growth of a residual within a step at which the step is given up."""
 RISE_LIMIT = 20.0
 """Growth above the least residual after the first pass at which a step of a converged multiplier is given up: such an
-iteration wanders, rounding decides whether and where it ends. Steps that are accepted have known at most 3.1."""
+iteration wanders, rounding decides whether and where it ends. Steps that are accepted have known at most 3.01."""
 STALL = 0.5
 """Tangents that are kept during a step are assembled anew when a pass reduces a residual by less than this."""
 BLOCKS = ("fluid", "shell")
