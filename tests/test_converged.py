@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import restarted
 from mpi4py import MPI
+from mpi_runs import SAME_RUN
 from scenes import free_sheet, sheet_in_flow
 from scipy.sparse import csr_matrix
 from test_coupled_contact import approaching
@@ -330,7 +331,7 @@ def test_a_step_that_fails_falls_back_to_a_lagged_smoothed_multiplier_and_says_s
     for _ in range(3):
         reports = [s.fsi.takeStep() for s in (fallen, lagged)]
     assert [report.attempts for report in reports] == [4, 1]
-    assert restarted.norms(fallen.fsi) == pytest.approx(restarted.norms(lagged.fsi), rel=1e-12)
+    assert restarted.norms(fallen.fsi) == pytest.approx(restarted.norms(lagged.fsi), rel=max(SAME_RUN, 1e-12))
     assert sum("fall back to a lagged multiplier" in text for text in warned()) == (MPI.COMM_WORLD.rank == 0)
 
 

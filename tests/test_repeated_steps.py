@@ -1,6 +1,6 @@
 """After a step that fails, one that succeeds is to the last bit that which it would have been without the failure.
 
-On several ranks to rounding, because MUMPS does not add up in the same order twice.
+On several ranks as near as two runs that do the same.
 """
 
 from contextlib import contextmanager, suppress
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import test_moving_coupler as on_a_moving_mesh
 from mpi4py import MPI
+from mpi_runs import SAME_RUN
 from scenes import free_sheet, sheet_in_flow
 from test_coupled_contact import approaching
 from test_flow import cavity
@@ -60,13 +61,13 @@ def everything(fsi):
     return arrays if band is None else arrays + [f.x.array.copy() for f in (band.scale_m, band.scale_c)]
 
 
-def assert_same(found, expected, rtol=0.0 if MPI.COMM_WORLD.size == 1 else 1e-9):
+def assert_same(found, expected, rtol=SAME_RUN):
     for new, old in zip(found, expected, strict=True):
         np.testing.assert_allclose(new, old, rtol=0.0, atol=rtol * np.abs(old).max(initial=0.0))
 
 
 def assert_same_report(found, expected):
-    assert found.passes == expected.passes
+    assert abs(found.passes - expected.passes) <= (SAME_RUN > 0.0)
     if MPI.COMM_WORLD.size == 1:
         assert found == expected
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mpi4py import MPI
+from mpi_runs import SAME_RUN
 from restarted import scene
 from test_restart import flow
 from test_shell import cantilever
@@ -514,17 +515,18 @@ def test_a_coupled_run_is_its_steps(folder):
     )
     reports = list(run)
     expected = [whole.takeStep(lambda: whole.lam.max()) for _ in range(4)]
+    values = {"rtol": 0, "atol": max(SAME_RUN, 1e-10) * np.abs(whole.timeInt_f.x.x.array).max()}
     for found, wanted in zip(reports, expected, strict=True):
         assert found.t == pytest.approx(wanted.t)
-        assert found.passes == wanted.passes
-        assert found.measured == pytest.approx(wanted.measured, rel=1e-9)
-    np.testing.assert_allclose(made.timeInt_f.x.x.array, whole.timeInt_f.x.x.array, rtol=0, atol=1e-12)
+        assert abs(found.passes - wanted.passes) <= (SAME_RUN > 0.0)
+        assert found.measured == pytest.approx(wanted.measured, rel=max(SAME_RUN, 1e-9))
+    np.testing.assert_allclose(made.timeInt_f.x.x.array, whole.timeInt_f.x.x.array, **values)
     assert run.history["leak"] == pytest.approx([r.monitors.leak for r in expected], rel=1e-6, abs=1e-12)
     resumed = scene().fsi
     again = resumed.run(until=0.2, out=folder, restart=2, history={"t_alpha": "t_alpha", "leak": "monitors.leak"})
     list(again)
-    np.testing.assert_allclose(resumed.timeInt_f.x.x.array, made.timeInt_f.x.x.array, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(again.history.rows, run.history.rows, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(resumed.timeInt_f.x.x.array, made.timeInt_f.x.x.array, **values)
+    np.testing.assert_allclose(again.history.rows, run.history.rows, rtol=1e-8, atol=max(SAME_RUN, 1e-10))
     found = again.summary("sheet", monitors={"more": 1})
     assert found["dofs_fluid"] == 75
     assert found["dofs_shell"] == 2 * 17
@@ -547,7 +549,7 @@ def test_a_run_of_a_flow_is_its_steps_and_goes_on(moves, folder):
     assert [report.t for report in reports] == [report.t for report in expected]
     list(resumed.run(until=0.4, out=folder, restart=2, history={"iterations": "iterations"}, show=False))
     for other in (whole, resumed):
-        np.testing.assert_allclose(other.w.x.array, made.w.x.array, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(other.w.x.array, made.w.x.array, rtol=0, atol=max(SAME_RUN, 1e-10))
     found = run.summary("cavity")
     assert found["dofs_fluid"] == 75
     assert found["newton_iterations_mean"] == np.mean([report.iterations for report in expected])

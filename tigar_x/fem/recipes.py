@@ -78,7 +78,9 @@ def direct(package: str = "mumps") -> LinearSolver:
     """Sparse LU factorisation.
 
     Args:
-        package: PETSc factorisation package, "mumps" (any number of ranks) or "petsc" (one rank, small systems).
+        package: PETSc factorisation package: "mumps" (any number of ranks; on several it adds up what arrives first, so
+            that two runs differ in the last digits), "superlu_dist" (the same digits in every run) or "petsc" (one
+            rank, small systems).
 
     Returns:
         The recipe.
