@@ -1,4 +1,4 @@
-"""Simplices of any dimension that a linear function divides, as the simplices of their sides and of where it is zero."""
+"""Simplices of any dimension that a linear function divides, as those of their sides and of where it is zero."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""Triangles or tetrahedra that the zero set of a linear function divides, and weights that integrate over its two sides.
+"""Triangles or tetrahedra that a linear function divides where it is zero, and weights that integrate over both sides.
 
 Weights of a side are the projection of its indicator on polynomials of degree k, in the mean square: times any
 polynomial of degree k they have the integral of the side. As functions they are polynomials of degree k as well, so

@@ -1,4 +1,4 @@
-"""Simplices that a linear function divides where it is zero, and the simplices of which both sides and that set are made.
+"""Simplices that a linear function divides where it is zero, and those of which its sides and that set are made.
 
 With k of its vertices a_i on the side that has fewer and m vertices b_j on the other one, a simplex is divided in the
 points e_ij between a_i and b_j. What lies between is the product of two simplices of k and m vertices, and with

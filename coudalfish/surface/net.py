@@ -1,0 +1,131 @@
+"""How the points of a surface hang together as triangles: edges, places that joints unite, ends, sheets.
+
+A quadrilateral is four triangles around its middle, so that mirror images of surfaces are made of mirrored triangles.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from coudalfish.surface.sheets import Sheets
+from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
+
+OPPOSITE = ((1, 2), (2, 0), (0, 1))
+"""Corners of the edges of a triangle, by the corner opposite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Net:
+    """How the points of a surface hang together.
+
+    Attributes:
+        cells: points around triangles or quadrilaterals, whose normals agree within a sheet, shape (cells, corners).
+        place: number of the place of a point, the same for points that a joint unites, shape (points,).
+        attached: mask of the points at which the surface is attached to a wall, shape (points,); None: at none.
+    """
+
+    cells: IntArray
+    place: IntArray
+    attached: Any = None
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @classmethod
+    def of(cls, sheets: Sheets, attached: Any = None) -> "Net":
+        """The points of a shell.
+
+        Args:
+            sheets: how its cells hang together.
+            attached: see above.
+        """
+        turned = sheets.sign[sheets.cells[:, 0]] < 0.0
+        return cls(np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells), sheets.places, attached)
+
+    @cached_property
+    def triangles(self) -> IntArray:
+        """Their corners, of which those beyond the points are middles of cells, shape (triangles, 3)."""
+        if self.cells.shape[1] == 3:
+            return self.cells
+        middles = len(self.place) + np.arange(len(self.cells))
+        sides = [self.cells, np.roll(self.cells, -1, axis=1), np.broadcast_to(middles[:, None], self.cells.shape)]
+        return np.stack(sides, axis=-1).reshape(-1, 3)
+
+    @cached_property
+    def functions(self) -> sp.csr_matrix:
+        """Hat functions of the points at the corners of triangles, shape (corners, points)."""
+        n, (cells, corners) = len(self.place), self.cells.shape
+        whole = sp.identity(n, format="csr")
+        if corners == 3:
+            return whole
+        middle = np.full(cells * corners, 1.0 / corners), self.cells.ravel(), np.arange(0, cells * corners + 1, corners)
+        return sp.vstack([whole, sp.csr_matrix(middle, shape=(cells, n))], format="csr")
+
+    @cached_property
+    def corners(self) -> IntArray:
+        """Places of the corners of the triangles, shape (triangles, 3)."""
+        number = int(self.place.max(initial=-1)) + 1
+        return np.append(self.place, number + np.arange(len(self.cells)))[self.triangles]
+
+    @cached_property
+    def _edges(self) -> tuple[IntArray, IntArray]:
+        """Places at the ends of the edges, and which of them a triangle has opposite its corners, (triangles, 3)."""
+        pairs = np.sort(self.corners[:, OPPOSITE], axis=-1).reshape(-1, 2)
+        ends, edge = np.unique(pairs, axis=0, return_inverse=True)
+        return ends, edge.reshape(-1, 3)
+
+    @property
+    def edges(self) -> IntArray:
+        """Number of the edge opposite each corner of the triangles, shape (triangles, 3)."""
+        return self._edges[1]
+
+    @cached_property
+    def ends(self) -> Any:
+        """Mask of the edges of one triangle alone, at which the surface ends, shape (edges,)."""
+        return np.bincount(self.edges.ravel()) == 1
+
+    @cached_property
+    def free(self) -> Any:
+        """Mask of those that are not attached to a wall, shape (edges,)."""
+        if self.attached is None:
+            return self.ends
+        held = np.zeros(int(self.corners.max(initial=-1)) + 1, dtype=bool)
+        held[self.place[self.attached]] = True
+        return self.ends & ~held[self._edges[0]].all(axis=1)
+
+    def at_corners(self, edges: Any) -> Any:
+        """Mask of the places at ends of some edges, by a mask of these, shape (places,)."""
+        there = np.zeros(int(self.corners.max(initial=-1)) + 1, dtype=bool)
+        there[self._edges[0][edges]] = True
+        return there
+
+    def ending(self, edges: Any) -> tuple[IntArray, IntArray]:
+        """Triangles of some edges at which the surface ends, and the corners of these that are opposite."""
+        triangle, corner = np.nonzero(edges[self.edges])
+        return triangle, corner
+
+    @cached_property
+    def sheet(self) -> IntArray:
+        """Number of the connected sheet to which a triangle belongs, shape (triangles,)."""
+        n, number = len(self.edges), int(self.edges.max(initial=-1)) + 1
+        of = sp.csr_matrix((np.ones(3 * n), (np.repeat(np.arange(n), 3), self.edges.ravel())), shape=(n, number))
+        return np.asarray(connected_components(of @ of.T, directed=False)[1])
+
+    def sums(self, values: FloatArray, at: IntArray) -> FloatArray:
+        """Sums at edges or places of values of the triangles there.
+
+        Args:
+            values: shape (triangles, 3, k).
+            at: :attr:`edges` or :attr:`corners`.
+
+        Returns:
+            Shape (edges or places, k).
+        """
+        size = int(at.max(initial=-1)) + 1
+        columns = [np.bincount(at.ravel(), column.ravel(), size) for column in np.moveaxis(values, -1, 0)]
+        return np.asarray(np.stack(columns, axis=1), dtype=np.float64)

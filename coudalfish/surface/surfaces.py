@@ -1,0 +1,321 @@
+"""Signed distance from surfaces in space: on which side of them a point lies.
+
+Signs come from normals of faces, means of those at edges, and means by angles at corners, with which they are right
+for every closed surface (Baerentzen and Aanaes, doi:10.1109/TVCG.2005.49). Behind an edge at which it ends a surface is
+continued straight on in the planes of its triangles, so that sides are defined there too.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial import cKDTree
+
+from coudalfish.surface.distance import SAME_DISTANCE, Sought
+from coudalfish.surface.net import OPPOSITE, Net
+from coudalfish.surface.triangles import CORNER, EDGE, Triangles
+from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
+
+NEIGHBOURS = 12
+"""Triangles that are looked at first; more only where these do not suffice."""
+
+
+class _Places(NamedTuple):
+    """Places of triangles that are nearest to points, see :class:`NearestOnSurfaces`."""
+
+    point: IntArray
+    triangle: IntArray
+    kind: IntArray
+    inner: FloatArray
+    gap: FloatArray
+    distance: FloatArray
+
+    @classmethod
+    def of(cls, triangles: Triangles, x: FloatArray, point: IntArray, triangle: IntArray) -> "_Places":
+        """Of one triangle for each point."""
+        inner, gap, kind = triangles.nearest(x[point], triangle)
+        return cls(point, triangle, kind, inner, gap, np.sqrt(np.einsum("pi,pi->p", gap, gap)))
+
+    @classmethod
+    def none(cls) -> "_Places":
+        """No place."""
+        no = np.empty(0, dtype=np.int64)
+        return cls(no, no, no, np.empty((0, 2)), np.empty((0, 3)), np.empty(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Surfaces of triangles, some closed, some with edges at which they end.
+
+    Attributes:
+        x: positions of the points, shape (points, 3); unit: length.
+        net: how they hang together.
+    """
+
+    x: FloatArray
+    net: Net
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """Where they are."""
+        return Triangles((self.net.functions @ self.x)[self.net.triangles])
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Unit normals of faces, edges and corners, by the kinds of places, shape (triangles, 7, 3)."""
+        net, faces = self.net, self.triangles.normals
+        repeated = np.broadcast_to(faces[:, None], (len(faces), 3, 3))
+        edges = net.sums(repeated, net.edges)[net.edges]
+        corners = net.sums(self.triangles.angles[..., None] * repeated, net.corners)[net.corners]
+        result = np.concatenate([faces[:, None], edges, corners], axis=1)
+        return np.asarray(result / np.maximum(np.linalg.norm(result, axis=2, keepdims=True), np.finfo(float).tiny))
+
+    @cached_property
+    def _middles(self) -> tuple[cKDTree, FloatArray]:
+        """Tree of the middles of the triangles, and how far these reach from there."""
+        x = self.triangles.x
+        middles = x.mean(axis=1)
+        return cKDTree(middles), np.sqrt(((x - middles[:, None]) ** 2).sum(axis=2).max(axis=1))
+
+    def nearest(self, x: FloatArray, *sought: Sought) -> "NearestOnSurfaces":
+        """Nearest places of the surfaces to points.
+
+        Args:
+            x: points, shape (m, 3); unit: length.
+            sought: of which of them, at least one; of points that are sought twice the last reach counts.
+        """
+        limit = np.full(len(x), -1.0)
+        for one in sought:
+            limit[one.points] = one.reach
+        tolerance = SAME_DISTANCE * (limit.max(initial=0.0) + self._middles[1].max(initial=0.0))
+        found, rest, count = [_Places.none()], np.flatnonzero(limit >= 0.0), NEIGHBOURS
+        while len(rest) and len(self.net.triangles):
+            places, rest = self._among(x, limit, rest, min(count, len(self.net.triangles)), tolerance)
+            found, count = [*found, places], 2 * count
+        near = _Places(*(np.concatenate(part) for part in zip(*found, strict=True)))
+        order = self._different(near)
+        return NearestOnSurfaces(self, len(x), *(part[order] for part in near))
+
+    def _among(
+        self, x: FloatArray, limit: FloatArray, points: IntArray, count: int, tolerance: float
+    ) -> tuple["_Places", IntArray]:
+        """Nearest places among those triangles whose middles are the nearest, and points that need more of these."""
+        (tree, radius), triangles = self._middles, self.triangles
+        largest = float(radius.max())
+        within = float(limit[points].max()) + largest
+        distance, k = tree.query(x[points], k=np.arange(1, count + 1), distance_upper_bound=within)
+        there = np.flatnonzero(np.isfinite(distance[:, 0]))
+        points, distance, k = points[there], distance[there], k[there]
+        first = _Places.of(triangles, x, points, k[:, 0])
+        bound = np.minimum(first.distance, limit[points])
+        done = (distance[:, -1] > bound + largest + tolerance) | (count == len(radius))
+        reach = np.append(radius, -np.inf)[k[:, 1:]] + (bound + tolerance)[:, None]
+        row, column = np.nonzero((distance[:, 1:] <= reach) & done[:, None])
+        others = _Places.of(triangles, x, points[row], k[row, column + 1])
+        starts = np.flatnonzero(np.diff(row, prepend=-1))
+        if len(starts):
+            bound[row[starts]] = np.minimum(bound[row[starts]], np.minimum.reduceat(others.distance, starts))
+        bound = np.minimum(bound + tolerance, limit[points])
+        best = (first.distance <= bound) & done, others.distance <= bound[row]
+        parts = zip(first, others, strict=True)
+        return _Places(*(np.concatenate([a[best[0]], b[best[1]]]) for a, b in parts)), points[~done]
+
+    def _different(self, near: "_Places") -> IntArray:
+        """An order in which points ascend, and triangles of one point, without places that are the same."""
+        order = np.lexsort((near.triangle, near.point))
+        point = near.point[order]
+        if (np.diff(point) > 0).all():
+            return order
+        net, n = self.net, len(self.net.triangles)
+        numbers = np.column_stack([np.arange(n), n + net.edges, 4 * n + net.corners])
+        keys = point * (numbers.max() + 1) + numbers[near.triangle[order], near.kind[order]]
+        return order[np.sort(np.unique(keys, return_index=True)[1])]
+
+    def crossed(self, start: FloatArray, end: FloatArray, reach: float) -> Any:
+        """Mask of the straight lines that cross a surface or its continuation, shape (m,).
+
+        Args:
+            start: where they begin, shape (m, 3); unit: length.
+            end: where they end.
+            reach: how far surfaces are continued; unit: length.
+        """
+        result = np.zeros(len(start), dtype=bool)
+        if not len(start) or not len(self.net.triangles):
+            return result
+        middle = 0.5 * (start + end)
+        half = 0.5 * np.linalg.norm(end - start, axis=1).max()
+        for triangles in (self.triangles, self._continuation(reach)):
+            if len(triangles.x):
+                centers = triangles.x.mean(axis=1)
+                radius = np.linalg.norm(triangles.x - centers[:, None], axis=2).max()
+                near = cKDTree(middle).sparse_distance_matrix(cKDTree(centers), half + radius, output_type="ndarray")
+                line, k = near["i"], near["j"]
+                result[line[triangles.crossed(start[line], end[line], k)]] = True
+        return result
+
+    def _continuation(self, reach: float) -> Triangles:
+        """Beyond edges at which surfaces end, in the planes of their triangles."""
+        a, b, away = self._at_ends(self.net.ends)
+        c, d = b + reach * away, a + reach * away
+        return Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
+
+    def _at_ends(self, edges: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Both ends of some edges at which surfaces end, and the directions away from these, shape (edges, 3)."""
+        triangle, corner = self.net.ending(edges)
+        first, last = np.array(OPPOSITE)[corner].T
+        a, b = self.triangles.x[triangle, first], self.triangles.x[triangle, last]
+        away = np.cross(b - a, self.triangles.normals[triangle])
+        return a, b, away / np.linalg.norm(away, axis=1)[:, None]
+
+    def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> IntArray:
+        """Those of some points that are not farther than a distance from an edge at which a surface ends, ascending.
+
+        Edges at which a surface is attached to a wall do not count.
+
+        Args:
+            x: points, shape (m, 3); unit: length.
+            reach: the distance; unit: length.
+            tree: of the points; None: it is made.
+        """
+        a, b, _ = self._at_ends(self.net.free)
+        if not len(a) or not len(x):
+            return np.empty(0, dtype=np.int64)
+        arms = b - a
+        lengths = np.einsum("ei,ei->e", arms, arms)
+        half = 0.5 * float(np.sqrt(lengths.max()))
+        tree = cKDTree(x) if tree is None else tree
+        near = cKDTree(0.5 * (a + b)).sparse_distance_matrix(tree, reach + half, output_type="ndarray")
+        edge, point = near["i"], near["j"]
+        off = x[point] - a[edge]
+        t = np.clip(np.einsum("pi,pi->p", off, arms[edge]) / lengths[edge], 0.0, 1.0)
+        off -= t[:, None] * arms[edge]
+        return np.unique(point[np.einsum("pi,pi->p", off, off) <= reach**2])
+
+    def attached_to(self, walls: "Surfaces", reach: float) -> Any:
+        """Mask of the points on the boundary of a fluid or beyond it, shape (points,).
+
+        Args:
+            walls: the boundary, whose normals point out of the fluid, or a part of it.
+            reach: distance from it that counts as none; unit: length.
+        """
+        near = walls.nearest(self.x, Sought(np.arange(len(self.x)), reach))
+        return np.isfinite(near.signed_distance())
+
+
+@dataclass(frozen=True, eq=False)
+class NearestOnSurfaces:
+    """Nearest places of surfaces to points, those that are in reach, all that are equally near.
+
+    Attributes:
+        surfaces: the surfaces.
+        count: number m of the points.
+        point: to which of them, ascending, shape (near,).
+        triangle: in which triangles, of one point ascending, shape (near,).
+        kind: of the places, see :mod:`coudalfish.surface.triangles`, shape (near,).
+        inner: second and third barycentric coordinates there, shape (near, 2).
+        gap: from there to the points, shape (near, 3); unit: length.
+        distance: its length, shape (near,).
+    """
+
+    surfaces: Surfaces
+    count: int
+    point: IntArray
+    triangle: IntArray
+    kind: IntArray
+    inner: FloatArray
+    gap: FloatArray
+    distance: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """The first place of each point."""
+        return np.flatnonzero(np.diff(self.point, prepend=-1))
+
+    @cached_property
+    def _beyond(self) -> Any:
+        """Mask of those behind an edge at which the surface ends, or on it."""
+        return self._on(self.surfaces.net.ends)
+
+    def _on(self, edges: Any) -> Any:
+        """Mask of those on some edges, by a mask of these."""
+        net, on_edge, at_corner = self.surfaces.net, (self.kind >= EDGE) & (self.kind < CORNER), self.kind >= CORNER
+        result = np.zeros(len(self.kind), dtype=bool)
+        result[on_edge] = edges[net.edges[self.triangle[on_edge], self.kind[on_edge] - EDGE]]
+        result[at_corner] = net.at_corners(edges)[net.corners[self.triangle[at_corner], self.kind[at_corner] - CORNER]]
+        return result
+
+    def signed_distance(self) -> FloatArray:
+        """Distance from the nearest surface, negative where normals of a shell point.
+
+        Returns:
+            Shape (m,), not a number where a point is farther; behind an edge at which the surface ends the distance
+            from the plane that continues it. Unit: length.
+        """
+        k = self._first
+        normal = self.surfaces.normals[self.triangle[k], self.kind[k]]
+        side, distance = -np.einsum("pi,pi->p", self.gap[k], normal), self.distance[k]
+        return self._spread(np.where(self._beyond[k], side, np.where(side < 0.0, -distance, distance)), np.nan)
+
+    def sheet(self) -> IntArray:
+        """Number of the nearest sheet, -1 where a point is farther, shape (m,)."""
+        return self._spread(self.surfaces.net.sheet[self.triangle[self._first]], -1)
+
+    def covered(self) -> Any:
+        """Whether the nearest place is not beyond a free edge, shape (m,); farther points are not covered."""
+        k = self._first
+        return self._spread(~self._on(self.surfaces.net.free)[k] | (self.distance[k] == 0.0), False)
+
+    def functions(self, *, continued: bool = False) -> sp.csr_matrix:
+        """Hat functions of the points of the surfaces at the nearest places, the mean where several are equally near.
+
+        Args:
+            continued: whether they are those of what continues the surfaces behind edges at which they end.
+
+        Returns:
+            Shape (m, points of the surfaces), rows without entries where a point is farther.
+        """
+        inner = np.column_stack([1.0 - self.inner.sum(axis=1), self.inner])
+        if continued:
+            k = np.flatnonzero(self._beyond)
+            corners = self.surfaces.triangles
+            x = np.einsum("pc,pci->pi", inner[k], corners.x[self.triangle[k]]) + self.gap[k]
+            inner[k] = corners.in_plane(x, self.triangle[k])
+        net, count = self.surfaces.net, np.bincount(self.point, minlength=self.count)
+        values = inner / count[self.point, None]
+        starts = 3 * np.append(0, np.cumsum(count))
+        shape = (self.count, net.functions.shape[0])
+        return (
+            sp.csr_matrix((values.ravel(), net.triangles[self.triangle].ravel(), starts), shape=shape) @ net.functions
+        )
+
+    def values(self, of_points: FloatArray) -> FloatArray:
+        """Values at the nearest places, and of what continues the surfaces behind edges at which they end.
+
+        Where several are equally near it is their mean, as mirror images of surfaces have mirrored values half way.
+
+        Args:
+            of_points: at the points of the surfaces, linear in triangles, shape (points, k).
+
+        Returns:
+            Shape (m, k), zero where a point is farther.
+        """
+        return np.asarray(self.functions(continued=True) @ of_points)
+
+    def of_triangles(self, values: FloatArray) -> FloatArray:
+        """Values of the nearest triangles, zero where a point is farther, shape (triangles,) -> (m,)."""
+        return self._spread(values[self.triangle[self._first]], 0.0)
+
+    def _spread(self, values: Any, otherwise: Any) -> Any:
+        """Values of all points, out of those of the near places, of which the first counts."""
+        result = np.full(self.count, otherwise, dtype=values.dtype)
+        result[self.point[self._first]] = values
+        return result

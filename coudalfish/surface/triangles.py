@@ -1,0 +1,135 @@
+"""Triangles in space: the places of them that are nearest to points, and the lines that pass through them.
+
+The regions are those of C. Ericson, Real-Time Collision Detection, section 5.1.5.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
+
+FACE, EDGE, CORNER = 0, 1, 4
+"""Kinds of nearest places: within the triangle, ``EDGE + i`` on the edge opposite corner i, ``CORNER + i`` at it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Triangles where they are.
+
+    Attributes:
+        x: their corners, shape (triangles, 3, 3); unit: length.
+    """
+
+    x: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @cached_property
+    def _products(self) -> tuple[FloatArray, ...]:
+        """First corners, edges from there, and the products of these."""
+        start = np.ascontiguousarray(self.x[:, 0])
+        b, c = self.x[:, 1] - start, self.x[:, 2] - start
+        return start, b, c, _dot(b, b), _dot(b, c), _dot(c, c)
+
+    @cached_property
+    def area_vectors(self) -> FloatArray:
+        """Normals times twice the areas, shape (triangles, 3)."""
+        _, b, c, *_ = self._products
+        return np.cross(b, c)
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """Shape (triangles,)."""
+        return 0.5 * np.sqrt(_dot(self.area_vectors, self.area_vectors))
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Unit normals, shape (triangles, 3)."""
+        return self.area_vectors / (2.0 * self.areas[:, None])
+
+    @cached_property
+    def angles(self) -> FloatArray:
+        """At the corners, shape (triangles, 3)."""
+        arms = np.roll(self.x, -1, axis=1) - self.x, np.roll(self.x, 1, axis=1) - self.x
+        across = np.cross(*arms)
+        return np.arctan2(np.sqrt(np.einsum("tci,tci->tc", across, across)), np.einsum("tci,tci->tc", *arms))
+
+    def in_plane(self, x: FloatArray, k: IntArray) -> FloatArray:
+        """Barycentric coordinates of the feet of points in the planes of triangles, of any sign, shape (n, 3).
+
+        Args:
+            x: points, shape (n, 3); unit: length.
+            k: one triangle for each.
+        """
+        _, p, q = self._along(x, k)
+        bb, bc, cc = (product[k] for product in self._products[3:])
+        size = bb * cc - bc * bc
+        second, third = (cc * p - bc * q) / size, (bb * q - bc * p) / size
+        return np.stack([1.0 - second - third, second, third], axis=1)
+
+    def _along(self, x: FloatArray, k: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        start, b, c = (part[k] for part in self._products[:3])
+        arm = x - start
+        return arm, _dot(arm, b), _dot(arm, c)
+
+    def nearest(self, x: FloatArray, k: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Nearest places of triangles to points.
+
+        Args:
+            x: points, shape (n, 3); unit: length.
+            k: one triangle for each.
+
+        Returns:
+            Second and third barycentric coordinates of the places, shape (n, 2); the ways from there to the points,
+            shape (n, 3), unit: length; and the kinds of the places, shape (n,).
+        """
+        arm, p, q = self._along(x, k)
+        bb, bc, cc = (product[k] for product in self._products[3:])
+        p_b, q_b, p_c, q_c = p - bb, q - bc, p - bc, q - cc  # the same from the second and the third corner
+        at_a, at_b, at_c = p_b * q_c - p_c * q_b, p_c * q - p * q_c, p * q_b - p_b * q  # times twice the area squared
+        up, down = q_b - p_b, p_c - q_c
+        kinds = (
+            ((p <= 0.0) & (q <= 0.0), CORNER, 0.0, 0.0),
+            ((p_b >= 0.0) & (up <= 0.0), CORNER + 1, 1.0, 0.0),
+            ((q_c >= 0.0) & (down <= 0.0), CORNER + 2, 0.0, 1.0),
+            ((at_c <= 0.0) & (p >= 0.0) & (p_b <= 0.0), EDGE + 2, _part(p, bb), 0.0),
+            ((at_b <= 0.0) & (q >= 0.0) & (q_c <= 0.0), EDGE + 1, 0.0, _part(q, cc)),
+            ((at_a <= 0.0) & (up >= 0.0) & (down >= 0.0), EDGE, _part(down, up + down), _part(up, up + down)),
+        )
+        size = at_a + at_b + at_c
+        kind, second, third = np.full(len(x), FACE), _part(at_b, size), _part(at_c, size)
+        for where, number, v, w in reversed(kinds):
+            kind[where] = number
+            for values, new in ((second, v), (third, w)):
+                np.copyto(values, new, where=where)
+        gap = arm - second[:, None] * self._products[1][k] - third[:, None] * self._products[2][k]
+        return np.stack([second, third], axis=1), gap, kind
+
+    def crossed(self, start: FloatArray, end: FloatArray, k: IntArray) -> Any:
+        """Mask of the straight lines that pass through triangles, shape (n,).
+
+        Args:
+            start: where they begin, shape (n, 3); unit: length.
+            end: where they end.
+            k: one triangle for each.
+        """
+        a, b, c = (self.x[k, corner] - start for corner in range(3))
+        line, normal = end - start, self.area_vectors[k]
+        height = _dot(a, normal)
+        parted = height * (height - _dot(line, normal)) <= 0.0
+        around = np.stack([_dot(line, np.cross(*pair)) for pair in ((a, b), (b, c), (c, a))])
+        return parted & ((around >= 0.0).all(axis=0) | (around <= 0.0).all(axis=0))
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ni,ni->n", a, b))
+
+
+def _part(value: FloatArray, whole: FloatArray) -> FloatArray:
+    """The quotient, where it is used; elsewhere the whole may be zero."""
+    return np.divide(value, whole, out=np.zeros_like(value), where=whole != 0.0)

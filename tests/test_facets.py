@@ -1,0 +1,107 @@
+"""Weights of sides on the boundary: right integrals over its parts, in edges and corners as well."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from dolfinx import mesh
+
+from coudalfish.surface.cut_cells import CutCells
+from coudalfish.surface.cut_simplices import CutSimplices, rule
+from coudalfish.surface.facets import FacetWeights, walls_of
+from coudalfish.surface.walls import WallWeights
+from tigar_x import compat
+from tigar_x.fem.simplices import Division
+
+SELF, K = MPI.COMM_SELF, 2
+
+
+def domain_of(d):
+    """Cells with one and two facets on the boundary."""
+    return mesh.create_unit_square(SELF, 3, 3) if d == 2 else mesh.create_unit_cube(SELF, 2, 2, 2)
+
+
+def level(domain, *numbers):
+    """A linear function at the vertices of all cells."""
+    linear = compat.lagrange_space(domain, 1)
+    d = domain.geometry.dim
+    return compat.cell_dofs(linear), linear.tabulate_dof_coordinates()[:, :d] @ numbers[:d] - numbers[-1]
+
+
+def on_facet(side, x):
+    corners = np.delete(np.eye(x.shape[1] + 2), side, axis=0)
+    return np.column_stack([1.0 - x.sum(axis=1), x]) @ corners
+
+
+def monomials(x):
+    """Up to degree K, of the coordinates on a facet."""
+    powers = [p for p in np.ndindex(*[K + 1] * x.shape[1]) if sum(p) <= K]
+    return np.stack([(x**p).prod(axis=1) for p in np.array(powers)], axis=1)
+
+
+def of_negative_part(values):
+    """Integrals of the monomials over the part of a facet where a linear function is negative."""
+    x, w = rule(len(values) - 1, K)
+    barycentric = np.column_stack([1.0 - x.sum(axis=1), x])
+    if (values < 0.0).all() or (values >= 0.0).all():
+        return (w @ monomials(x)) * (values < 0.0).all()
+    division = Division(values[None])
+    for parts in division.smaller if division.of_negative[0] else division.larger:
+        return sum(
+            share * (w @ monomials((barycentric @ part)[:, 1:]))
+            for part, share in zip(parts.barycentric[0], parts.shares[0], strict=True)
+        )
+
+
+@pytest.mark.parametrize("plane", [(1.0, 0.37, 0.61, 0.29), (-0.4, 1.0, 0.3, 0.131), (-0.2, -0.3, -1.0, -0.4)])
+@pytest.mark.parametrize("d", [2, 3])
+def test_every_facet_has_the_integrals_of_its_part(d, plane):
+    domain = domain_of(d)
+    space = compat.lagrange_space(domain, K + 1, discontinuous=True)
+    vertices, phi = level(domain, *plane)
+    cut = CutSimplices.of(vertices, phi)
+    cells, weights = FacetWeights(space)(cut)
+    x, w = rule(d - 1, 2 * K + 1)
+    several = set()
+    for cell, nodal in zip(cells, weights, strict=True):
+        bits = walls_of(domain)[cell]
+        sides = np.flatnonzero(bits >> np.arange(d + 1) & 1)
+        several.add(len(sides))
+        for side in sides:
+            here = compat.tabulate(space, on_facet(side, x)[:, 1:]) @ nodal
+            expected = of_negative_part(np.delete(phi[vertices[cell]], side))
+            np.testing.assert_allclose((w * here) @ monomials(x), expected, atol=1e-13)
+    assert several == {1, 2} or (d == 2 and several == {1})
+    walls = walls_of(domain)[cut.cells]
+    np.testing.assert_array_equal(cells, cut.cells[walls > 0])
+
+
+def test_where_three_facets_meet_one_integral_is_an_approximation():
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.1, 1.1, 0.0], [0.2, 0.0, 0.9], [0.9, 0.8, 0.9]])
+    domain = compat.create_mesh(SELF, "tetrahedron", [[0, 1, 2, 3], [1, 2, 3, 4]], x)
+    space = compat.lagrange_space(domain, K + 1, discontinuous=True)
+    vertices, phi = level(domain, 1.0, 0.37, 0.61, 0.29)
+    x, w = rule(2, 2 * K + 1)
+    off = []
+    for cell, nodal in zip(*FacetWeights(space)(CutSimplices.of(vertices, phi)), strict=True):
+        for side in np.flatnonzero(walls_of(domain)[cell] >> np.arange(4) & 1):
+            here = compat.tabulate(space, on_facet(side, x)[:, 1:]) @ nodal
+            off.append((w * here) @ monomials(x) - of_negative_part(np.delete(phi[vertices[cell]], side)))
+    assert len(off) >= 3
+    assert np.abs(off).max() < 1e-3
+
+
+def test_on_one_facet_of_a_triangle_weights_are_what_they_were():
+    domain = mesh.create_unit_square(SELF, 4, 4)
+    old_space, space = (compat.lagrange_space(domain, k, discontinuous=True) for k in (K, K + 1))
+    vertices, phi = level(domain, 1.0, 0.2, 0.3302)
+    cells, new = FacetWeights(space)(CutSimplices.of(vertices, phi))
+    old_cells, old = WallWeights(domain, K, compat.node_points(old_space))(CutCells.of(vertices, phi))
+    np.testing.assert_array_equal(cells, old_cells)
+    checked, t = 0, np.linspace(0.0, 1.0, 5)[:, None]
+    for cell, a, b in zip(cells, old, new, strict=True):
+        sides = np.flatnonzero(walls_of(domain)[cell] >> np.arange(3) & 1)
+        if len(sides) == 1:
+            at = on_facet(sides[0], t)[:, 1:]
+            np.testing.assert_allclose(compat.tabulate(space, at) @ b, compat.tabulate(old_space, at) @ a, atol=1e-12)
+            checked += 1
+    assert checked

@@ -1,0 +1,202 @@
+"""Signed distances from surfaces in space, closed and with edges, of several sheets and patches."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.spatial import cKDTree
+
+from coudalfish.surface.distance import Sought
+from coudalfish.surface.net import Net
+from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.surfaces import Surfaces
+from coudalfish.surface.triangles import CORNER, EDGE, FACE, Triangles
+
+RNG = np.random.default_rng(11)
+
+
+def grid(n=4, f=lambda u, v: np.column_stack([u, v, 0.0 * u]), triangles=False, turned=False):
+    """A patch over the unit square, of quadrilaterals or of two triangles each."""
+    s = np.linspace(0.0, 1.0, n + 1)
+    u, v = (part.ravel() for part in np.meshgrid(s, s, indexing="ij"))
+    i = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    cells = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 4)
+    if triangles:
+        cells = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+    return f(u, v), cells[:, ::-1] if turned else cells
+
+
+def surfaces(*patches, attached=None):
+    """Patches whose points are one place where they are at the same place."""
+    x = np.concatenate([part for part, _ in patches])
+    starts = np.cumsum([0] + [len(part) for part, _ in patches[:-1]])
+    cells = np.concatenate([part + start for (_, part), start in zip(patches, starts, strict=True)])
+    place = np.unique(np.round(x, 9), axis=0, return_inverse=True)[1].ravel()
+    return Surfaces(x, Net(cells, place, None if attached is None else attached(x)))
+
+
+def cube(n=3, triangles=False):
+    """Surface of the unit cube, with normals outwards."""
+    faces = []
+    for axis in range(3):
+        for end in (0.0, 1.0):
+
+            def face(u, v, axis=axis, end=end):
+                return np.roll(np.column_stack([np.full(len(u), end), u, v]), axis, axis=1)
+
+            faces.append(grid(n, face, triangles, turned=end == 0.0))
+    return surfaces(*faces)
+
+
+def nearest(surface, x, reach=10.0):
+    return surface.nearest(np.asarray(x, dtype=float), Sought(np.arange(len(x)), reach))
+
+
+def test_nearest_places_of_triangles():
+    """As the nearest ones of their sides and, where it is within, of the foot in their plane."""
+    x, points = RNG.standard_normal((400, 3, 3)), 1.5 * RNG.standard_normal((400, 3))
+    triangles, every = Triangles(x), np.arange(400)
+    inner, gap, kind = triangles.nearest(points, every)
+    found = np.linalg.norm(gap, axis=1)
+    place = np.einsum("nc,nci->ni", np.column_stack([1.0 - inner.sum(axis=1), inner]), x)
+    np.testing.assert_allclose(place + gap, points, atol=1e-14)
+    best = np.full(400, np.inf)
+    for side in range(3):
+        a, b = x[:, (side + 1) % 3], x[:, (side + 2) % 3]
+        t = np.clip(np.einsum("ni,ni->n", points - a, b - a) / ((b - a) ** 2).sum(axis=1), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
+    foot = triangles.in_plane(points, every)
+    inside = (foot >= 0.0).all(axis=1)
+    height = np.linalg.norm(points - np.einsum("nc,nci->ni", foot, x), axis=1)
+    np.testing.assert_allclose(found, np.where(inside, height, best), atol=1e-13)
+    np.testing.assert_array_equal(kind == FACE, inside)
+    all_three = np.column_stack([1.0 - inner.sum(axis=1), inner])
+    for corner in range(3):
+        np.testing.assert_allclose(all_three[kind == EDGE + corner, corner], 0.0, atol=1e-15)
+        np.testing.assert_allclose(all_three[kind == CORNER + corner, corner], 1.0)
+        assert (kind == EDGE + corner).sum() > 5
+        assert (kind == CORNER + corner).sum() > 5
+
+
+@pytest.mark.parametrize("triangles", [False, True])
+@pytest.mark.parametrize("n", [1, 5])
+def test_sides_of_a_closed_surface_with_sharp_edges(n, triangles):
+    """By the normals of single faces points near edges and corners would be on the wrong side."""
+    x = RNG.uniform(-0.5, 1.5, (2000, 3))
+    outside = np.linalg.norm(np.maximum(np.maximum(-x, x - 1.0), 0.0), axis=1)
+    inside = np.minimum(x, 1.0 - x).min(axis=1)
+    surface = cube(n, triangles)
+    near = nearest(surface, x)
+    np.testing.assert_allclose(near.signed_distance(), np.where(inside > 0.0, inside, -outside), atol=1e-14)
+    assert near.covered().all()
+    assert not surface.net.ends.any()
+    assert not len(surface.near_ends(x, 10.0))
+
+
+def test_at_a_spike_the_side_is_that_of_the_mean_by_angles():
+    """One of the faces that meet at the tip is divided in many: the mean by numbers points its way."""
+    fan = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.deg2rad([0.0, 120.0, 240.0, *np.linspace(242, 358, 40)])]
+    x = np.array([[0.0, 0.0, 1.5], *fan])
+    cells = np.array([[0, k, k % (len(fan)) + 1] for k in range(1, len(fan) + 1)])
+    surface = Surfaces(x, Net(cells, np.arange(len(x))))
+    around = np.array([0.0, 0.0, 1.5]) + 0.05 * RNG.standard_normal((400, 3))
+    near = nearest(surface, around)
+    at_tip = near.kind[near._first] >= CORNER
+    assert at_tip.sum() > 50
+    assert (near.signed_distance()[at_tip] < 0.0).all()
+
+
+def test_behind_its_edges_a_plate_goes_straight_on():
+    plate = surfaces(grid(4))
+    x = np.array(
+        [[0.5, 0.5, 0.2], [1.3, 0.5, 0.2], [1.3, 0.5, -0.3], [-0.2, 1.4, 0.1], [0.5, 1.0, 0.0], [0.5, 0.5, 3.0]]
+    )
+    near = nearest(plate, x, 1.0)
+    np.testing.assert_allclose(near.signed_distance(), [-0.2, -0.2, 0.3, -0.1, 0.0, np.nan], atol=1e-15)
+    np.testing.assert_array_equal(near.covered(), [True, False, False, False, True, False])
+    np.testing.assert_array_equal(near.sheet(), [0, 0, 0, 0, 0, -1])
+    np.testing.assert_array_equal(plate.near_ends(x, 0.37), [1, 4])
+    np.testing.assert_array_equal(plate.near_ends(x, 0.37, cKDTree(x)), [1, 4])
+
+
+def test_where_it_is_attached_a_surface_covers_what_is_behind():
+    plate = surfaces(grid(4), attached=lambda x: x[:, 0] < 1e-9)
+    x = np.array([[-0.3, 0.5, 0.1], [1.3, 0.5, 0.1], [0.5, 1.3, 0.1]])
+    near = nearest(plate, x, 1.0)
+    np.testing.assert_array_equal(near.covered(), [True, False, False])
+    np.testing.assert_allclose(near.signed_distance(), -0.1)
+    np.testing.assert_array_equal(plate.near_ends(x, 0.4), [1, 2])
+
+
+def test_points_near_a_wall_are_attached_to_it():
+    wall = surfaces(grid(3, lambda u, v: np.column_stack([0.0 * u, v, u - 0.5])))
+    plate = surfaces(grid(4))
+    held = plate.attached_to(wall, 1e-6)
+    np.testing.assert_array_equal(held, plate.x[:, 0] < 1e-9)
+
+
+def test_hat_functions_at_nearest_places():
+    x = RNG.uniform(-0.3, 1.3, (200, 3)) * [1.0, 1.0, 0.1]
+    for triangles in (False, True):
+        plate = surfaces(grid(4, triangles=triangles))
+        linear = plate.x @ np.array([[1.0, 2.0], [3.0, -1.0], [0.0, 0.0]]) + 0.5
+        near = nearest(plate, x)
+        at, going_on = near.functions() @ linear, near.values(linear)
+        clipped = np.clip(x[:, :2], 0.0, 1.0)
+        np.testing.assert_allclose(at, clipped @ [[1.0, 2.0], [3.0, -1.0]] + 0.5, atol=1e-14)
+        np.testing.assert_allclose(going_on, x[:, :2] @ [[1.0, 2.0], [3.0, -1.0]] + 0.5, atol=1e-13)
+    assert nearest(plate, [[0.5, 0.5, 5.0]], 1.0).functions().nnz == 0
+
+
+def test_values_half_way_between_mirrored_surfaces_are_mirrored():
+    low, high = (grid(3, lambda u, v, z=z: np.column_stack([u, v, z + 0 * u])) for z in (0.0, 1.0))
+    pair = surfaces(low, high)
+    v = np.where(pair.x[:, 2] < 0.5, 2.0, -2.0)[:, None]
+    x = np.array([[0.4, 0.3, 0.5], [0.5, 0.5, 0.5], [1 / 3, 2 / 3, 0.5], [0.4, 0.3, 0.49]])
+    np.testing.assert_allclose(nearest(pair, x).values(v).ravel(), [0.0, 0.0, 0.0, 2.0], atol=1e-14)
+    assert pair.net.sheet.max() == 1
+
+
+def test_lines_that_cross_a_surface_or_its_continuation():
+    plate = surfaces(grid(2), (grid(2)[0] + [0.0, 0.0, 1.0], grid(2)[1]))
+    start = np.array([[0.2, 0.3, -0.1], [0.2, 0.3, 0.1], [1.1, 0.5, -0.1], [1.5, 0.5, -0.1], [0.3, 0.9, 0.5]])
+    end = np.array([[0.4, 0.1, 0.1], [0.3, 0.4, 0.9], [1.1, 0.5, 0.1], [1.5, 0.5, 0.1], [0.3, 1.1, 1.5]])
+    np.testing.assert_array_equal(plate.crossed(start, end, 1e-9), [True, False, False, False, True])
+    np.testing.assert_array_equal(plate.crossed(start, end, 0.2), [True, False, True, False, True])
+    assert plate.crossed(start[:0], end[:0], 0.2).shape == (0,)
+
+
+def test_patches_that_are_parametrised_against_each_other_have_one_side():
+    from tigar_x.geometry import shapes
+    from tigar_x.geometry.gluing import glued
+    from tigar_x.splines.spline import ExtractedSpline
+
+    parts = [
+        shapes.parallelogram((0, 0, 0), (0.5, 0, 0), (0, 1, 0), elements=(3, 4), degrees=(2, 2)),
+        shapes.parallelogram((1, 0, 0), (-0.5, 0, 0), (0, 1, 0), elements=(3, 4), degrees=(2, 2)),
+    ]
+    sheets = Sheets.of(ExtractedSpline(glued(*parts), MPI.COMM_SELF))
+    surface = Surfaces(sheets.X, Net.of(sheets))
+    x = np.array([[0.2, 0.5, 0.1], [0.8, 0.5, 0.1], [0.5, 0.5, 0.1], [0.5, 0.25, 0.1]])
+    near = nearest(surface, x)
+    phi = near.signed_distance()
+    np.testing.assert_allclose(np.abs(phi), 0.1)
+    assert len(set(np.sign(phi))) == 1
+    assert set(near.sheet()) == {0}
+    ends = surface.net.at_corners(surface.net.ends)[surface.net.place]
+    np.testing.assert_array_equal(ends, (np.abs(sheets.X[:, :2] - 0.5) > 0.5 - 1e-9).any(axis=1))
+
+
+def test_distances_do_not_depend_on_how_many_triangles_are_looked_at_first():
+    """Small and large triangles side by side, and two surfaces close to each other."""
+    bent = grid(7, lambda u, v: np.column_stack([u**3, v**3, 0.4 * u * v]))
+    other = grid(2, lambda u, v: np.column_stack([u, v, 0.05 + 0.4 * u * v]))
+    surface, x = surfaces(bent, other), RNG.uniform(-0.2, 1.2, (300, 3))
+    near = nearest(surface, x, 0.4)
+    every = np.arange(len(surface.net.triangles))
+    least = np.array(
+        [np.linalg.norm(surface.triangles.nearest(np.tile(p, (len(every), 1)), every)[1], axis=1).min() for p in x]
+    )
+    found = np.full(300, np.inf)
+    found[near.point] = near.distance
+    np.testing.assert_allclose(found, np.where(least <= 0.4, least, np.inf), atol=1e-14)
+    assert (np.diff(near.point) >= 0).all()
