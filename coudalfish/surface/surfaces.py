@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from coudalfish.surface.distance import SAME_DISTANCE, Sought
 from coudalfish.surface.net import OPPOSITE, Net
-from coudalfish.surface.triangles import CORNER, EDGE, Triangles
+from coudalfish.surface.triangles import CORNER, EDGE, FACE, Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
@@ -110,7 +110,7 @@ class Surfaces:
         largest = float(radius.max())
         within = float(limit[points].max()) + largest
         distance, k = tree.query(x[points], k=np.arange(1, count + 1), distance_upper_bound=within)
-        there = np.flatnonzero(np.isfinite(distance[:, 0]))
+        there = np.flatnonzero(distance[:, 0] <= limit[points] + largest)
         points, distance, k = points[there], distance[there], k[there]
         first = _Places.of(triangles, x, points, k[:, 0])
         bound = np.minimum(first.distance, limit[points])
@@ -183,9 +183,14 @@ class Surfaces:
             reach: the distance; unit: length.
             tree: of the points; None: it is made.
         """
+        return np.flatnonzero(self.from_ends(x, reach, tree) <= reach)
+
+    def from_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> FloatArray:
+        """Distances of points from these edges, infinite where they are farther; arguments as in :meth:`near_ends`."""
         a, b, _ = self._at_ends(self.net.free)
+        result = np.full(len(x), np.inf)
         if not len(a) or not len(x):
-            return np.empty(0, dtype=np.int64)
+            return result
         arms = b - a
         lengths = np.einsum("ei,ei->e", arms, arms)
         half = 0.5 * float(np.sqrt(lengths.max()))
@@ -195,7 +200,9 @@ class Surfaces:
         off = x[point] - a[edge]
         t = np.clip(np.einsum("pi,pi->p", off, arms[edge]) / lengths[edge], 0.0, 1.0)
         off -= t[:, None] * arms[edge]
-        return np.unique(point[np.einsum("pi,pi->p", off, off) <= reach**2])
+        np.minimum.at(result, point, np.sqrt(np.einsum("pi,pi->p", off, off)))
+        result[result > reach] = np.inf
+        return result
 
     def attached_to(self, walls: "Surfaces", reach: float) -> Any:
         """Mask of the points on the boundary of a fluid or beyond it, shape (points,).
@@ -273,6 +280,24 @@ class NearestOnSurfaces:
         """Whether the nearest place is not beyond a free edge, shape (m,); farther points are not covered."""
         k = self._first
         return self._spread(~self._on(self.surfaces.net.free)[k] | (self.distance[k] == 0.0), False)
+
+    def margin(self, reach: float) -> FloatArray:
+        """Distance to the next free edge along the surface, negative beyond it.
+
+        Args:
+            reach: the largest margin that is of interest; unit: length.
+
+        Returns:
+            Shape (m,), no more than the reach, and minus that where a point is farther from the surface.
+        """
+        k, surfaces = self._first, self.surfaces
+        normal = surfaces.normals[self.triangle[k], FACE]
+        along = self.gap[k] - np.einsum("pi,pi->p", self.gap[k], normal)[:, None] * normal
+        inner = np.column_stack([1.0 - self.inner[k].sum(axis=1), self.inner[k]])
+        feet = np.einsum("pc,pci->pi", inner, surfaces.triangles.x[self.triangle[k]])
+        margin = np.minimum(surfaces.from_ends(feet, reach), reach)
+        beyond = -np.sqrt(np.einsum("pi,pi->p", along, along))
+        return self._spread(np.where(self._on(surfaces.net.free)[k], beyond, margin), -reach)
 
     def functions(self, *, continued: bool = False) -> sp.csr_matrix:
         """Hat functions of the points of the surfaces at the nearest places, the mean where several are equally near.

@@ -1,0 +1,137 @@
+"""Which nodes of a mesh of tetrahedra get unknowns for what is different on both sides of a surface.
+
+As in the plane, see :mod:`coudalfish.surface.enriched`, with areas of the polygons on which the signed distance is zero
+in place of lengths of lines.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from coudalfish.surface.cut_simplices import CutSimplices
+from coudalfish.surface.distance import Sought
+from coudalfish.surface.enriched import (
+    COVERED,
+    NEAR,
+    OFF_LINE,
+    REACH,
+    ROUNDED,
+    SLIVER,
+    Enriching,
+    agreeing,
+)
+from coudalfish.surface.polygons import ZeroSet
+from coudalfish.surface.surfaces import NearestOnSurfaces, Surfaces
+from tigar_x import checks
+from tigar_x.compat import FloatArray
+
+DIVIDED = 1e-8
+"""Share of the volume of a node's cells that each part has to have for its pressure to jump."""
+EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+"""Of a tetrahedron."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnrichmentInSpace:
+    """What a surface does to a mesh.
+
+    Attributes:
+        phi: signed distance at the nodes, not a number far away, shape (nodes,); unit: length.
+        cut: cells in which one of the nodes is enriched, ghosts as well.
+        zero: what the surface covers of the polygons on which phi is zero, also in cells of which no node is enriched.
+        jump: mask of the nodes at which the pressure jumps, shape (nodes,).
+        kink: mask of the nodes at which the velocity is kinked, shape (nodes,).
+        velocity: that of the surface at the nodes near it, zero at others, shape (nodes, 3); unit: length/time; None:
+            it rests.
+    """
+
+    phi: FloatArray
+    cut: CutSimplices
+    zero: ZeroSet
+    jump: Any
+    kink: Any
+    velocity: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+
+class EnrichingInSpace(Enriching):
+    """Finds the enrichment of a mesh of tetrahedra by surfaces.
+
+    Args:
+        space: scalar linear space of the mesh.
+        kinked: whether velocities are kinked; pressures always jump.
+    """
+
+    def __call__(self, surfaces: Surfaces, v: FloatArray | None = None) -> EnrichmentInSpace:  # type: ignore[override]
+        """By surfaces where they are (collective).
+
+        Args:
+            surfaces: the surfaces.
+            v: velocities of their points, shape (points, 3); unit: length/time. None: they rest.
+        """
+        phi, near = self._signed(surfaces)
+        cut = CutSimplices.of(self.vertices, phi)
+        real, zero, covered = self._polygons(cut, surfaces)
+        nodes = self.vertices[cut.cells]
+        mine = np.where(real & (cut.cells < self._owned), 1.0, 0.0)[:, None]
+        other = np.where(cut.values < 0.0, 1.0 - cut.negative_share[:, None], cut.negative_share[:, None])
+        other = self._total(nodes, mine * other * self._areas[cut.cells, None])
+        jump = (other > DIVIDED * self._support) & (other < (1.0 - DIVIDED) * self._support)
+        whole, found = (of.of_cells(of.sizes())[:, None] * mine for of in (zero, covered))
+        whole, found = (self._total(nodes, np.broadcast_to(sizes, nodes.shape)) for sizes in (whole, found))
+        enough = found >= COVERED * (1.0 - ROUNDED) * whole
+        jump &= enough
+        kink = np.zeros_like(jump)
+        if self._kinked:
+            bent = mine * (cut.smaller_share[:, None] > SLIVER)
+            kink = (self._total(nodes, np.broadcast_to(bent, nodes.shape)) > 0.0) & enough
+        concerned = (jump | kink)[nodes].any(axis=1)
+        velocity = None if v is None else near.values(v)
+        return EnrichmentInSpace(phi, cut.only(real & concerned), covered, jump, kink, velocity)
+
+    def _signed(self, surfaces: Surfaces) -> tuple[FloatArray, NearestOnSurfaces]:
+        """Signed distances of the nodes, by normals of which those of different sheets agree (collective)."""
+        far, tree = REACH * self._largest, self._tree
+        at_ends = Sought(surfaces.near_ends(self.x, far, tree), far)
+        near = surfaces.nearest(self.x, Sought(self._every, NEAR * self._largest, tree), at_ends)
+        phi, nearest = self._on_line(near.signed_distance()), near.sheet()
+        number = int(surfaces.net.sheet.max(initial=-1)) + 1
+        if number < 2:
+            return phi, near
+        edges = self.vertices[: self._owned][:, EDGES].reshape(-1, 2)
+        a, b = nearest[edges].T
+        between = (a != b) & (a >= 0) & (b >= 0)
+        edges, a, b = edges[between], a[between], b[between]
+        negative = phi[edges] < 0.0
+        apart = surfaces.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far)
+        votes = np.zeros((number, number))
+        np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, 1.0, -1.0))
+        self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
+        turned = agreeing(votes + votes.T)
+        return np.where(nearest < 0, phi, turned[nearest] * phi), near
+
+    def _polygons(self, cut: CutSimplices, surfaces: Surfaces) -> tuple[Any, ZeroSet, ZeroSet]:
+        """Mask of the cells that a surface or its continuation cuts, shape (cut,), the polygons and what is covered.
+
+        In other cells the sign changes as they are half way between two surfaces.
+        """
+        corners, middle_reach = self.corners[cut.cells], OFF_LINE * NEAR * self._largest
+        zero = ZeroSet.of(cut, corners)
+        middles = zero.places(zero.barycentric.mean(axis=1))
+        middles = (
+            np.stack([zero.of_cells(m) for m in middles.T], axis=1) / zero.of_cells(np.ones(len(middles)))[:, None]
+        )
+        near_end = surfaces.near_ends(middles, 2.0 * self._largest)
+        every, far = np.arange(len(middles)), REACH * self._largest
+        off = np.abs(surfaces.nearest(middles, Sought(every, middle_reach), Sought(near_end, far)).signed_distance())
+        real = off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0)
+        rest = np.flatnonzero(~real)
+        ends, negative = corners[rest], cut.values[rest] < 0.0
+        for a, b in EDGES:
+            crossed = surfaces.crossed(ends[:, a], ends[:, b], far)
+            real[rest] |= (negative[:, a] != negative[:, b]) & crossed
+        return real, zero, zero.only(real[zero.rows]).covered_by(surfaces, self._largest, middle_reach)

@@ -1,0 +1,210 @@
+"""Where a linear function is zero in cut cells: points and areas to integrate over it, and what a surface covers of it.
+
+In a triangle it is a line, in a tetrahedron a triangle or a quadrilateral, which is made of two triangles.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from coudalfish.surface.cut_simplices import CutSimplices, rule
+from coudalfish.surface.distance import Sought
+from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem.simplices import Division
+
+FINER = 4
+"""Parts of an edge into which is divided what may lie on a free edge of a surface: narrower gaps are none."""
+
+
+class Places(Protocol):
+    """Nearest places of a surface to points, see :class:`coudalfish.surface.surfaces.NearestOnSurfaces`."""
+
+    def covered(self) -> Any:
+        """Whether they are not beyond a free edge, shape (m,)."""
+
+    def margin(self, reach: float) -> FloatArray:
+        """Distance to the next free edge along the surface, negative beyond, at most a reach, shape (m,)."""
+
+    def functions(self) -> sp.csr_matrix:
+        """Hat functions of the surface's points, shape (m, points)."""
+
+    def of_triangles(self, values: FloatArray) -> FloatArray:
+        """Values of the nearest triangles, shape (triangles,) -> (m,)."""
+
+
+class Covers(Protocol):
+    """A surface, see :class:`coudalfish.surface.surfaces.Surfaces`."""
+
+    def nearest(self, x: FloatArray, *sought: Sought) -> Places:
+        """Nearest places to points."""
+
+    def near_ends(self, x: FloatArray, reach: float) -> IntArray:
+        """Those of some points that are near a free edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroSet:
+    """Simplices, of one dimension less than space has, on which a linear function is zero in cut cells.
+
+    Attributes:
+        cut: the cells.
+        corners: their vertices, shape (cut, d + 1, d); unit: length.
+        rows: number of the cut cell of each, shape (n,).
+        barycentric: coordinates of its vertices there, shape (n, d, d + 1).
+    """
+
+    cut: CutSimplices
+    corners: FloatArray
+    rows: IntArray
+    barycentric: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @classmethod
+    def of(cls, cut: CutSimplices, corners: FloatArray) -> "ZeroSet":
+        """All of cut cells; arguments as the attributes."""
+        d = corners.shape[2]
+        rows, simplices = [np.empty(0, dtype=np.int64)], [np.empty((0, d, d + 1))]
+        for parts in cut.division.zero:
+            rows.append(np.repeat(parts.rows, parts.barycentric.shape[1]))
+            simplices.append(parts.barycentric.reshape(-1, d, d + 1))
+        return cls(cut, corners, np.concatenate(rows), np.concatenate(simplices))
+
+    def places(self, barycentric: FloatArray) -> FloatArray:
+        """Where points of the cells are, shape (n, ..., d + 1) -> (n, ..., d)."""
+        return np.asarray(np.einsum("n...c,nci->n...i", barycentric, self.corners[self.rows]))
+
+    def sizes(self) -> FloatArray:
+        """Lengths or areas of the simplices, shape (n,)."""
+        ends = self.places(self.barycentric)
+        arms = ends[:, 1:] - ends[:, :1]
+        if arms.shape[1] == 1:
+            return np.asarray(np.sqrt(np.einsum("nki,nki->n", arms, arms)))
+        across = np.cross(arms[:, 0], arms[:, 1])
+        return np.asarray(0.5 * np.sqrt(np.einsum("ni,ni->n", across, across)))
+
+    def of_cells(self, values: FloatArray) -> FloatArray:
+        """Sums over the simplices of every cut cell, shape (n,) -> (cut,)."""
+        return np.asarray(np.bincount(self.rows, values, len(self.cut.cells)), dtype=np.float64)
+
+    def normals(self) -> FloatArray:
+        """Unit normals in the cells, to where the function is positive, shape (cut, d)."""
+        arms, values = self.corners[:, 1:] - self.corners[:, :1], self.cut.values
+        gradient = np.linalg.solve(arms, (values[:, 1:] - values[:, :1])[..., None])[..., 0]
+        return np.asarray(gradient / np.linalg.norm(gradient, axis=1)[:, None])
+
+    def only(self, chosen: Any) -> "ZeroSet":
+        """Some of the simplices."""
+        return ZeroSet(self.cut, self.corners, self.rows[chosen], self.barycentric[chosen])
+
+    def joined(self, other: "ZeroSet") -> "ZeroSet":
+        """These and other ones of the same cells."""
+        rows = np.concatenate([self.rows, other.rows])
+        return ZeroSet(self.cut, self.corners, rows, np.concatenate([self.barycentric, other.barycentric]))
+
+    def covered_by(self, surface: Covers, size: float, reach: float) -> "ZeroSet":
+        """What of it a surface covers.
+
+        Args:
+            surface: the surface.
+            size: length of the longest edge of a cell.
+            reach: distance of the surface beyond which it covers nothing; unit: length.
+        """
+        near = np.zeros(len(self.rows), dtype=bool)
+        near[surface.near_ends(self.places(self.barycentric.mean(axis=1)), size)] = True
+        there, middle = self.only(~near), self.places(self.barycentric.mean(axis=1))[~near]
+        there = there.only(surface.nearest(middle, Sought(np.arange(len(middle)), reach)).covered())
+        return there.joined(self.only(near)._clipped(surface, size, reach))
+
+    def _clipped(self, surface: Covers, size: float, reach: float) -> "ZeroSet":
+        """The same, divided into small simplices of which those are cut that lie on a free edge."""
+        d = self.barycentric.shape[1]
+        lattice, table = _divided(d - 1, FINER)
+        points = lattice @ self.barycentric
+        x = self.places(points).reshape(-1, d)
+        margin = surface.nearest(x, Sought(np.arange(len(x)), reach)).margin(size).reshape(points.shape[:2])
+        rows = np.repeat(self.rows, len(table))
+        margin, simplices = margin[:, table].reshape(-1, d), points[:, table].reshape(-1, d, d + 1)
+        whole, part = (margin >= 0.0).all(axis=1), (margin < 0.0).any(axis=1) & (margin >= 0.0).any(axis=1)
+        result = ZeroSet(self.cut, self.corners, rows[whole], simplices[whole])
+        division = Division(margin[part])
+        for positive, parts in ((~division.of_negative, division.smaller), (division.of_negative, division.larger)):
+            for of in parts:
+                chosen = positive[of.rows]
+                inside = of.barycentric[chosen] @ simplices[part][of.rows[chosen], None]
+                number = np.repeat(rows[part][of.rows[chosen]], inside.shape[1])
+                result = result.joined(ZeroSet(self.cut, self.corners, number, inside.reshape(-1, d, d + 1)))
+        return result
+
+    def quadrature(self, degree: int = 2) -> "ZeroPoints":
+        """Points to integrate over it, of the simplices in their order, as many in each.
+
+        Args:
+            degree: of the polynomials that are integrated exactly.
+        """
+        d = self.barycentric.shape[1]
+        x, weights = rule(d - 1, degree)
+        at = np.column_stack([1.0 - x.sum(axis=1), x]) @ self.barycentric
+        areas = self.sizes()[:, None] * (weights / weights.sum())
+        return ZeroPoints(
+            self.cut.cells[np.repeat(self.rows, len(x))], at.reshape(-1, d + 1), areas.ravel(),
+            self.places(at).reshape(-1, d), self.normals()[np.repeat(self.rows, len(x))],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroPoints:
+    """Quadrature where a linear function is zero.
+
+    Attributes:
+        cells: of the points, shape (points,).
+        barycentric: coordinates there, shape (points, d + 1).
+        areas: that the points stand for, shape (points,); unit: length^(d - 1).
+        x: where they are, shape (points, d); unit: length.
+        normals: unit normals, to where the function is positive, shape (points, d).
+    """
+
+    cells: IntArray
+    barycentric: FloatArray
+    areas: FloatArray
+    x: FloatArray
+    normals: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    def on(self, surface: Covers, stretch: FloatArray, reach: float) -> tuple[sp.csr_matrix, FloatArray]:
+        """What of a surface the points stand for.
+
+        Args:
+            surface: the surface.
+            stretch: areas of its triangles relative to those at rest, shape (triangles,).
+            reach: distance beyond which there is no surface; unit: length.
+
+        Returns:
+            Hat functions of the surface's points at the nearest places, shape (points, surface's points), and areas at
+            rest, shape (points,).
+        """
+        near = surface.nearest(self.x, Sought(np.arange(len(self.x)), reach))
+        ratio = near.of_triangles(1.0 / stretch)
+        return near.functions(), self.areas * ratio
+
+
+@cache
+def _divided(dim: int, parts: int) -> tuple[FloatArray, IntArray]:
+    """Barycentric coordinates of a lattice on an interval or a triangle, and the equal simplices that it makes."""
+    if dim == 1:
+        t = np.arange(parts + 1.0) / parts
+        return np.column_stack([1.0 - t, t]), np.column_stack([np.arange(parts), np.arange(1, parts + 1)])
+    i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
+    number = np.full((parts + 2, parts + 2), -1)
+    number[i, j] = np.arange(len(i))
+    up, down = i + j < parts, i + j < parts - 1
+    table = [np.column_stack([number[i, j], number[i + 1, j], number[i, j + 1]])[up]]
+    table.append(np.column_stack([number[i + 1, j + 1], number[i, j + 1], number[i + 1, j]])[down])
+    return np.column_stack([parts - i - j, i, j]) / parts, np.concatenate(table)

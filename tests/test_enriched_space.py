@@ -1,0 +1,113 @@
+"""Nodes of tetrahedra that surfaces enrich: closed surfaces, plates with edges, gaps, several sheets."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from dolfinx import mesh
+from test_nearest_surfaces import cube, grid, surfaces
+
+from coudalfish.surface.enriched_space import EnrichingInSpace
+from coudalfish.surface.surfaces import Surfaces
+from tigar_x import compat
+
+COMM = MPI.COMM_WORLD
+
+
+def enriching(n=5, comm=COMM, kinked=True):
+    return EnrichingInSpace(compat.lagrange_space(mesh.create_unit_cube(comm, n, n, n), 1), kinked=kinked)
+
+
+def ball(radius=0.31, center=(0.51, 0.49, 0.52)):
+    """A cube blown up to a sphere."""
+    boxed = cube(6)
+    x = boxed.x - 0.5
+    return Surfaces(np.array(center) + radius * x / np.linalg.norm(x, axis=1)[:, None], boxed.net)
+
+
+def plate(z, low=-0.3, high=1.3, turned=False):
+    return grid(5, lambda u, v: np.column_stack([low + (high - low) * u, 1.6 * v - 0.3, z + 0.0 * u]), turned=turned)
+
+
+@pytest.mark.mpi
+def test_a_closed_surface_has_its_volume_and_every_node_is_enriched():
+    e = enriching(8)
+    found = e(ball())
+    owned = found.cut.cells < e._owned
+    volumes = np.abs(np.linalg.det(e.corners[:, 1:] - e.corners[:, :1])) / 6.0
+    inside = (volumes[found.cut.cells] * found.cut.negative_share)[owned].sum()
+    uncut = np.setdiff1d(np.arange(e._owned), found.cut.cells)
+    middle = np.linalg.norm(e.corners[uncut].mean(axis=1) - [0.51, 0.49, 0.52], axis=1)
+    inside = COMM.allreduce(float(volumes[uncut][middle > 0.31].sum()) + float(inside))  # normals point inwards
+    assert inside == pytest.approx(1.0 - 4.0 / 3.0 * np.pi * 0.31**3, rel=0.02)
+    nodes = e.vertices[found.cut.cells]
+    assert found.jump[nodes].all()
+    assert found.kink[nodes].all()
+    assert not enriching(4, kinked=False)(ball()).kink.any()
+
+
+@pytest.mark.mpi
+def test_all_partitions_enrich_the_same_nodes():
+    for surface in (ball(), surfaces(plate(0.433, low=0.21))):
+        masks = []
+        for comm in (COMM, MPI.COMM_SELF):
+            e = enriching(5, comm)
+            found = e(surface)
+            index = np.round(e.x * 5).astype(int) @ [36, 6, 1]
+            both = np.zeros((2, 216))
+            both[:, index] = found.jump, found.kink
+            masks.append(comm.allreduce(both, op=MPI.SUM) > 0)
+        np.testing.assert_array_equal(*masks)
+
+
+@pytest.mark.parametrize(("gap", "closed"), [(0.0, True), (0.3, True), (3.0, False)])
+def test_small_gaps_between_free_edges_are_closed_and_wide_ones_open(gap, closed):
+    h = 1.0 / 6.0
+    whole = enriching(6)(surfaces(plate(0.433)))
+    parts = surfaces(plate(0.433, high=0.5 - 0.5 * gap * h), plate(0.433, low=0.5 + 0.5 * gap * h))
+    found = enriching(6)(parts)
+    assert np.array_equal(found.kink, whole.kink) == closed
+    assert np.array_equal(found.jump, whole.jump) == closed
+    assert not (found.kink & ~whole.kink).any()
+
+
+def test_nothing_is_divided_beyond_a_free_edge():
+    e = enriching(8)
+    found = e(surfaces(plate(0.433, low=0.61)))
+    x = e.x[found.jump | found.kink, 0]
+    assert x.min() > 0.61 - 2.0 / 8.0
+    assert len(x) > 20
+    covered = found.zero.sizes().sum()
+    assert covered == pytest.approx(0.39, rel=1e-12)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_nothing_is_cut_half_way_between_two_plates(turned):
+    """And which way they are parametrised does not matter."""
+    e, z = enriching(8), (0.29, 0.62)
+    found = e(surfaces(plate(z[0]), plate(z[1], turned=turned)))
+    cells = np.unique(np.concatenate([e(surfaces(plate(height))).cut.cells for height in z]))
+    np.testing.assert_array_equal(found.cut.cells, cells)
+
+
+def test_two_plates_in_one_cell_divide_it_as_one():
+    e = enriching(6)
+    one, pair = e(surfaces(plate(0.42))), e(surfaces(plate(0.42), plate(0.45, turned=True)))
+    np.testing.assert_array_equal(pair.kink, one.kink)
+    near = np.isfinite(one.phi) & np.isfinite(pair.phi)
+    np.testing.assert_array_equal(np.sign(pair.phi[near]), np.sign(one.phi[near]))
+
+
+def test_along_faces_of_cells_pressures_jump_there_and_velocities_are_not_kinked():
+    e = enriching(4)
+    found = e(surfaces(plate(0.5)))
+    np.testing.assert_array_equal(np.flatnonzero(found.jump), np.flatnonzero(np.abs(e.x[:, 2] - 0.5) < 1e-9))
+    assert not found.kink.any()
+
+
+def test_velocities_of_the_surface_at_nodes():
+    e, surface = enriching(5), surfaces(plate(0.433))
+    v = surface.x @ np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
+    found = e(surface, v)
+    near = np.abs(e.x[:, 2] - 0.433) < 0.2
+    expected = e.x @ np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(found.velocity[near], expected[near], atol=1e-12)
