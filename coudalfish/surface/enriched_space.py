@@ -14,9 +14,7 @@ from coudalfish.surface.cut_simplices import CutSimplices
 from coudalfish.surface.distance import Sought
 from coudalfish.surface.enriched import (
     COVERED,
-    NEAR,
     OFF_LINE,
-    REACH,
     ROUNDED,
     SLIVER,
     Enriching,
@@ -29,6 +27,10 @@ from tigar_x.compat import FloatArray
 
 DIVIDED = 1e-8
 """Share of the volume of a node's cells that each part has to have for its pressure to jump."""
+NEAR = 1.1
+"""Distance from the surface, in sizes of the largest cell, up to which sides are known: nodes of cut cells are nearer."""
+REACH = 2.5
+"""The same near its free edges, beyond which cells of nodes count that the surface may divide."""
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 """Of a tetrahedron."""
 
@@ -119,7 +121,7 @@ class EnrichingInSpace(Enriching):
 
         In other cells the sign changes as they are half way between two surfaces.
         """
-        corners, middle_reach = self.corners[cut.cells], OFF_LINE * NEAR * self._largest
+        corners, middle_reach = self.corners[cut.cells], 0.5 * self._largest
         zero = ZeroSet.of(cut, corners)
         middles = zero.places(zero.barycentric.mean(axis=1))
         middles = (

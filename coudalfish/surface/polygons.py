@@ -42,8 +42,8 @@ class Covers(Protocol):
     def nearest(self, x: FloatArray, *sought: Sought) -> Places:
         """Nearest places to points."""
 
-    def near_ends(self, x: FloatArray, reach: float) -> IntArray:
-        """Those of some points that are near a free edge."""
+    def from_ends(self, x: FloatArray, reach: float) -> FloatArray:
+        """Distances of points from free edges, infinite where they are farther than a reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +115,12 @@ class ZeroSet:
             size: length of the longest edge of a cell.
             reach: distance of the surface beyond which it covers nothing; unit: length.
         """
-        near = np.zeros(len(self.rows), dtype=bool)
-        near[surface.near_ends(self.places(self.barycentric.mean(axis=1)), size)] = True
-        there, middle = self.only(~near), self.places(self.barycentric.mean(axis=1))[~near]
-        there = there.only(surface.nearest(middle, Sought(np.arange(len(middle)), reach)).covered())
+        ends = self.places(self.barycentric)
+        middles = ends.mean(axis=1)
+        radius = np.sqrt(((ends - middles[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
+        near = surface.from_ends(middles, size) <= radius
+        there, middles = self.only(~near), middles[~near]
+        there = there.only(surface.nearest(middles, Sought(np.arange(len(middles)), reach)).covered())
         return there.joined(self.only(near)._clipped(surface, size, reach))
 
     def _clipped(self, surface: Covers, size: float, reach: float) -> "ZeroSet":
