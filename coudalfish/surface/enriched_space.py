@@ -5,6 +5,7 @@ in place of lengths of lines.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from tigar_x.compat import FloatArray
 DIVIDED = 1e-8
 """Share of the volume of a node's cells that each part has to have for its pressure to jump."""
 NEAR = 1.1
-"""Distance from the surface, in sizes of the largest cell, up to which sides are known: nodes of cut cells are nearer."""
+"""Distance from the surface, in sizes of the largest cell, up to which sides are known: no cut cell has others."""
 REACH = 2.5
 """The same near its free edges, beyond which cells of nodes count that the surface may divide."""
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
@@ -58,6 +59,11 @@ class EnrichmentInSpace:
 
     def __post_init__(self) -> None:
         checks.freeze(self)
+
+    @cached_property
+    def known(self) -> FloatArray:
+        """The signed distance, zero where it is not known, shape (nodes,)."""
+        return np.where(np.isfinite(self.phi), self.phi, 0.0)
 
 
 class EnrichingInSpace(Enriching):

@@ -24,12 +24,14 @@ class FacetWeights:
     """Weights of the negative side on those facets of cut triangles or tetrahedra that are on the boundary.
 
     Args:
-        space: discontinuous Lagrange space in which the weights are wanted, of degree k + 1.
+        space: discontinuous Lagrange space in which the weights are wanted.
+        degree: k; None: that of the space less one.
     """
 
-    def __init__(self, space: fem.FunctionSpace) -> None:
+    def __init__(self, space: fem.FunctionSpace, degree: int | None = None) -> None:
         self._space, self._d = space, space.mesh.topology.dim
-        self._k = compat.lagrange_degree(space) - 1
+        self._degree = compat.lagrange_degree(space)
+        self._k = self._degree - 1 if degree is None else degree
         self._moments = SideMoments(self._d - 1, self._k)
         self._walls = walls_of(space.mesh)
         sides = np.arange(self._d + 1)
@@ -61,7 +63,7 @@ class FacetWeights:
     @cached_property
     def _integrals(self) -> list[tuple[FloatArray, FloatArray]]:
         """Of products of the nodes' functions with each other, and with the polynomials, over every facet."""
-        x, weights = rule(self._d - 1, 2 * self._k + 2)
+        x, weights = rule(self._d - 1, 2 * self._degree)
         inside, found = np.column_stack([1.0 - x.sum(axis=1), x]), []
         for vertices in self._vertices:
             barycentric = np.zeros((len(x), self._d + 1))

@@ -1,0 +1,113 @@
+"""Surfaces that meet the fluid on the polygons on which the signed distance from them is zero in its cells.
+
+The fluid's velocity is averaged there over the hat functions phi_q of the surface's points at the nearest places,
+``u_q = (1/W_q) int phi_q u dA`` with ``W_q = int phi_q dA``, areas at rest. What forces at the points do they do on the
+polygons; a multiplier may act along the normals of the polygons instead, and a pressure that jumps is then in
+equilibrium with it to rounding.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+
+from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.polygons import ZeroPoints
+from coudalfish.surface.trace import Location, TraceMatrix
+from tigar_x.compat import FloatArray, IntArray
+
+TOUCHING = 1e-10
+"""A point whose hat function has less than this share of its area in the fluid is outside."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnPolygons:
+    """A surface in a step that meets the fluid on polygons, see :class:`coudalfish.surface.meeting.Meeting`.
+
+    Attributes:
+        W: areas at rest of the hat functions on polygons, shape (points,).
+        location: this rank's points on polygons.
+        normals: of the polygons there, shape (polygon points, d).
+        hats: hat functions there, shape (polygon points, points).
+        penalty: nodal velocities there, and areas at rest.
+        seen: see :class:`coudalfish.surface.meeting.Meeting`.
+        plain: the surface where it is.
+    """
+
+    W: FloatArray
+    location: Location
+    normals: FloatArray
+    hats: sp.csr_matrix
+    penalty: tuple[sp.csr_matrix, FloatArray]
+    seen: IntArray
+    plain: Meeting
+
+    @classmethod
+    def of(
+        cls,
+        points: ZeroPoints,
+        hats: sp.csr_matrix,
+        areas: FloatArray,
+        nodes: IntArray,
+        whole: FloatArray,
+        plain: Meeting,
+        comm: MPI.Comm,
+    ) -> "OnPolygons":
+        """By points on the polygons of this rank's cells (collective).
+
+        Args:
+            points: the points.
+            hats: hat functions of the surface's points there.
+            areas: of the surface at rest that they stand for, shape (polygon points,).
+            nodes: those of all cells, shape (cells, d + 1).
+            whole: areas at rest of the surface's points, shape (points,).
+            plain: the surface where it is.
+            comm: of the fluid.
+        """
+        W = np.asarray(hats.T @ areas, dtype=np.float64)
+        comm.Allreduce(MPI.IN_PLACE, W, op=MPI.SUM)
+        W[TOUCHING * whole > W] = 0.0
+        seen, column = np.unique(nodes[points.cells], return_inverse=True)
+        starts = np.arange(0, column.size + 1, nodes.shape[1])
+        E = sp.csr_matrix((points.barycentric.ravel(), column.ravel(), starts), shape=(len(areas), len(seen)))
+        location = Location(points.cells, points.barycentric, np.ones(len(areas), dtype=bool))
+        return cls(W, location, points.normals, hats, (E, areas), seen, plain)
+
+    @cached_property
+    def means(self) -> sp.csr_matrix:
+        """From values at the polygons' points to averages at the surface's points, this rank's share."""
+        inverse = np.divide(1.0, self.W, out=np.zeros_like(self.W), where=self.W > 0.0)
+        return (sp.diags(inverse) @ self.hats.T @ sp.diags(self.penalty[1])).tocsr()
+
+    @cached_property
+    def trace(self) -> TraceMatrix:
+        """See :class:`coudalfish.surface.meeting.Meeting`."""
+        return TraceMatrix(self.means @ self.penalty[0], self.seen)
+
+    @property
+    def active(self) -> Any:
+        """See there."""
+        return self.W > 0.0
+
+    def vertex_functions(self) -> sp.csr_matrix:
+        """See there (collective)."""
+        return self.plain.vertex_functions()
+
+    def along_normals(self, functions: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """Forces of scalar functions that act along the normals of the polygons, this rank's share of both.
+
+        Args:
+            functions: of a multiplier, force per area at the surface's points, shape (points, functions).
+
+        Returns:
+            On the seen nodes, component by component, shape (d seen, functions), and on the surface's points, shape
+            (d points, functions): they sum to the same.
+        """
+        E, areas = self.penalty
+        acting = sp.diags(areas) @ self.hats @ functions
+        each = [sp.diags(n) @ acting for n in self.normals.T]
+        on_fluid, on_surface = (sp.vstack([of @ part for part in each], format="csr") for of in (E.T, self.hats.T))
+        return on_fluid, on_surface
