@@ -1,6 +1,6 @@
 """Triangles and tetrahedra that a surface cuts: weights that integrate over their sides."""
 
-from itertools import product
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
@@ -42,13 +42,13 @@ def over_negative_side(f, values):
         size = ends[1] - ends[0]
         return size * (WEIGHTS @ f((ends[0] + AT * size)[:, None]))
     breaks = [0.0, 1.0]  # slices change their kind at the heights of the vertices and where edges are cut
-    for a, b in ((a, b) for a in range(d + 1) for b in range(a)):
+    for b, a in combinations(range(d + 1), 2):
         if (values[a] < 0.0) != (values[b] < 0.0):
             t = values[a] / (values[a] - values[b])
             breaks.append((1.0 - t) * (a == 1) + t * (b == 1))
     breaks = np.unique(np.clip(breaks, 0.0, 1.0))
     total = 0.0
-    for low, high in zip(breaks[:-1], breaks[1:], strict=True):
+    for low, high in pairwise(breaks):
         for s, w in zip(low + AT * (high - low), (high - low) * WEIGHTS, strict=True):
             corners = [offset + s * slope[0], *(offset + s * slope[0] + (1.0 - s) * slope[1:])]
 

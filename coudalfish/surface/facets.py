@@ -95,6 +95,6 @@ def walls_of(domain: mesh.Mesh) -> IntArray:
     cells = cells_of.array[cells_of.offsets[facets]]
     ends = of_facets.array.reshape(-1, d)[facets]
     inside = (vertices[cells][:, :, None] == ends[:, None]).any(axis=2)
-    bits = np.zeros(len(vertices), dtype=np.int64)
-    np.bitwise_or.at(bits, cells, 1 << (~inside).argmax(axis=1))
+    bits = np.zeros(len(vertices), dtype=np.int32)
+    np.bitwise_or.at(bits, cells, (1 << (~inside).argmax(axis=1)).astype(np.int32))
     return bits

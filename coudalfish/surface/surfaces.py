@@ -5,6 +5,7 @@ for every closed surface (Baerentzen and Aanaes, doi:10.1109/TVCG.2005.49). Behi
 continued straight on in the planes of its triangles, so that sides are defined there too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -40,9 +41,18 @@ class _Places(NamedTuple):
         return cls(point, triangle, kind, inner, gap, np.sqrt(np.einsum("pi,pi->p", gap, gap)))
 
     @classmethod
+    def joined(cls, several: Sequence["_Places"]) -> "_Places":
+        """All of several."""
+        return cls(*map(np.concatenate, zip(*several, strict=True)))
+
+    def only(self, chosen: Any) -> "_Places":
+        """Some of them, by a mask or in an order."""
+        return _Places(*(part[chosen] for part in self))
+
+    @classmethod
     def none(cls) -> "_Places":
         """No place."""
-        no = np.empty(0, dtype=np.int64)
+        no = np.empty(0, dtype=np.int32)
         return cls(no, no, no, np.empty((0, 2)), np.empty((0, 3)), np.empty(0))
 
 
@@ -98,9 +108,9 @@ class Surfaces:
         while len(rest) and len(self.net.triangles):
             places, rest = self._among(x, limit, rest, min(count, len(self.net.triangles)), tolerance)
             found, count = [*found, places], 2 * count
-        near = _Places(*(np.concatenate(part) for part in zip(*found, strict=True)))
-        order = self._different(near)
-        return NearestOnSurfaces(self, len(x), *(part[order] for part in near))
+        near = _Places.joined(found)
+        near = near.only(self._different(near))
+        return NearestOnSurfaces(self, len(x), **near._asdict())
 
     def _among(
         self, x: FloatArray, limit: FloatArray, points: IntArray, count: int, tolerance: float
@@ -123,8 +133,7 @@ class Surfaces:
             bound[row[starts]] = np.minimum(bound[row[starts]], np.minimum.reduceat(others.distance, starts))
         bound = np.minimum(bound + tolerance, limit[points])
         best = (first.distance <= bound) & done, others.distance <= bound[row]
-        parts = zip(first, others, strict=True)
-        return _Places(*(np.concatenate([a[best[0]], b[best[1]]]) for a, b in parts)), points[~done]
+        return _Places.joined([first.only(best[0]), others.only(best[1])]), points[~done]
 
     def _different(self, near: "_Places") -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""

@@ -91,7 +91,9 @@ class Triangles:
         arm, p, q = self._along(x, k)
         bb, bc, cc = (product[k] for product in self._products[3:])
         p_b, q_b, p_c, q_c = p - bb, q - bc, p - bc, q - cc  # the same from the second and the third corner
-        at_a, at_b, at_c = p_b * q_c - p_c * q_b, p_c * q - p * q_c, p * q_b - p_b * q  # times twice the area squared
+        at_a: FloatArray = p_b * q_c - p_c * q_b  # coordinates, times four times the area squared
+        at_b: FloatArray = p_c * q - p * q_c
+        at_c: FloatArray = p * q_b - p_b * q
         up, down = q_b - p_b, p_c - q_c
         kinds = (
             ((p <= 0.0) & (q <= 0.0), CORNER, 0.0, 0.0),
@@ -101,7 +103,7 @@ class Triangles:
             ((at_b <= 0.0) & (q >= 0.0) & (q_c <= 0.0), EDGE + 1, 0.0, _part(q, cc)),
             ((at_a <= 0.0) & (up >= 0.0) & (down >= 0.0), EDGE, _part(down, up + down), _part(up, up + down)),
         )
-        size = at_a + at_b + at_c
+        size: FloatArray = at_a + at_b + at_c
         kind, second, third = np.full(len(x), FACE), _part(at_b, size), _part(at_c, size)
         for where, number, v, w in reversed(kinds):
             kind[where] = number
