@@ -5,10 +5,9 @@ for every closed surface (Baerentzen and Aanaes, doi:10.1109/TVCG.2005.49). Behi
 continued straight on in the planes of its triangles, so that sides are defined there too.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,44 +15,12 @@ from scipy.spatial import cKDTree
 
 from coudalfish.surface.distance import SAME_DISTANCE, Sought
 from coudalfish.surface.net import OPPOSITE, Net
-from coudalfish.surface.triangles import CORNER, EDGE, FACE, Triangles
+from coudalfish.surface.triangles import CORNER, EDGE, FACE, Places, Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
 NEIGHBOURS = 12
 """Triangles that are looked at first; more only where these do not suffice."""
-
-
-class _Places(NamedTuple):
-    """Places of triangles that are nearest to points, see :class:`NearestOnSurfaces`."""
-
-    point: IntArray
-    triangle: IntArray
-    kind: IntArray
-    inner: FloatArray
-    gap: FloatArray
-    distance: FloatArray
-
-    @classmethod
-    def of(cls, triangles: Triangles, x: FloatArray, point: IntArray, triangle: IntArray) -> "_Places":
-        """Of one triangle for each point."""
-        inner, gap, kind = triangles.nearest(x[point], triangle)
-        return cls(point, triangle, kind, inner, gap, np.sqrt(np.einsum("pi,pi->p", gap, gap)))
-
-    @classmethod
-    def joined(cls, several: Sequence["_Places"]) -> "_Places":
-        """All of several."""
-        return cls(*map(np.concatenate, zip(*several, strict=True)))
-
-    def only(self, chosen: Any) -> "_Places":
-        """Some of them, by a mask or in an order."""
-        return _Places(*(part[chosen] for part in self))
-
-    @classmethod
-    def none(cls) -> "_Places":
-        """No place."""
-        no = np.empty(0, dtype=np.int32)
-        return cls(no, no, no, np.empty((0, 2)), np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +71,17 @@ class Surfaces:
         for one in sought:
             limit[one.points] = one.reach
         tolerance = SAME_DISTANCE * (limit.max(initial=0.0) + self._middles[1].max(initial=0.0))
-        found, rest, count = [_Places.none()], np.flatnonzero(limit >= 0.0), NEIGHBOURS
+        found, rest, count = [Places.none()], np.flatnonzero(limit >= 0.0), NEIGHBOURS
         while len(rest) and len(self.net.triangles):
             places, rest = self._among(x, limit, rest, min(count, len(self.net.triangles)), tolerance)
             found, count = [*found, places], 2 * count
-        near = _Places.joined(found)
+        near = Places.joined(found)
         near = near.only(self._different(near))
         return NearestOnSurfaces(self, len(x), **near._asdict())
 
     def _among(
         self, x: FloatArray, limit: FloatArray, points: IntArray, count: int, tolerance: float
-    ) -> tuple["_Places", IntArray]:
+    ) -> tuple[Places, IntArray]:
         """Nearest places among those triangles whose middles are the nearest, and points that need more of these."""
         (tree, radius), triangles = self._middles, self.triangles
         largest = float(radius.max())
@@ -122,20 +89,20 @@ class Surfaces:
         distance, k = tree.query(x[points], k=np.arange(1, count + 1), distance_upper_bound=within)
         there = np.flatnonzero(distance[:, 0] <= limit[points] + largest)
         points, distance, k = points[there], distance[there], k[there]
-        first = _Places.of(triangles, x, points, k[:, 0])
+        first = Places.of(triangles, x, points, k[:, 0])
         bound = np.minimum(first.distance, limit[points])
         done = (distance[:, -1] > bound + largest + tolerance) | (count == len(radius))
         reach = np.append(radius, -np.inf)[k[:, 1:]] + (bound + tolerance)[:, None]
         row, column = np.nonzero((distance[:, 1:] <= reach) & done[:, None])
-        others = _Places.of(triangles, x, points[row], k[row, column + 1])
+        others = Places.of(triangles, x, points[row], k[row, column + 1])
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         if len(starts):
             bound[row[starts]] = np.minimum(bound[row[starts]], np.minimum.reduceat(others.distance, starts))
         bound = np.minimum(bound + tolerance, limit[points])
         best = (first.distance <= bound) & done, others.distance <= bound[row]
-        return _Places.joined([first.only(best[0]), others.only(best[1])]), points[~done]
+        return Places.joined([first.only(best[0]), others.only(best[1])]), points[~done]
 
-    def _different(self, near: "_Places") -> IntArray:
+    def _different(self, near: Places) -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""
         order = np.lexsort((near.triangle, near.point))
         point = near.point[order]

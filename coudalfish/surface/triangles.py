@@ -3,9 +3,10 @@
 The regions are those of C. Ericson, Real-Time Collision Detection, section 5.1.5.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,6 +127,47 @@ class Triangles:
         parted = height * (height - _dot(line, normal)) <= 0.0
         around = np.stack([_dot(line, np.cross(*pair)) for pair in ((a, b), (b, c), (c, a))])
         return parted & ((around >= 0.0).all(axis=0) | (around <= 0.0).all(axis=0))
+
+
+class Places(NamedTuple):
+    """Places of triangles that are nearest to points.
+
+    Attributes:
+        point: to which of them, shape (n,).
+        triangle: in which triangles, shape (n,).
+        kind: see above, shape (n,).
+        inner: second and third barycentric coordinates there, shape (n, 2).
+        gap: from there to the points, shape (n, 3); unit: length.
+        distance: its length, shape (n,).
+    """
+
+    point: IntArray
+    triangle: IntArray
+    kind: IntArray
+    inner: FloatArray
+    gap: FloatArray
+    distance: FloatArray
+
+    @classmethod
+    def of(cls, triangles: Triangles, x: FloatArray, point: IntArray, triangle: IntArray) -> "Places":
+        """Of one triangle for each point."""
+        inner, gap, kind = triangles.nearest(x[point], triangle)
+        return cls(point, triangle, kind, inner, gap, np.sqrt(np.einsum("pi,pi->p", gap, gap)))
+
+    @classmethod
+    def joined(cls, several: Sequence["Places"]) -> "Places":
+        """All of several."""
+        return cls(*map(np.concatenate, zip(*several, strict=True)))
+
+    def only(self, chosen: Any) -> "Places":
+        """Some of them, by a mask or in an order."""
+        return Places(*(part[chosen] for part in self))
+
+    @classmethod
+    def none(cls) -> "Places":
+        """No place."""
+        no = np.empty(0, dtype=np.int32)
+        return cls(no, no, no, np.empty((0, 2)), np.empty((0, 3)), np.empty(0))
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
