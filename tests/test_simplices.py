@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tigar_x.fem import pieces
-from tigar_x.fem.simplices import Division
+from tigar_x.fem.simplices import Division, SidedSimplices
 
 RNG = np.random.default_rng(3)
 PATTERNS = {d: [s for s in product((-1, 1), repeat=d + 1) if len(set(s)) == 2] for d in (1, 2, 3, 4)}
@@ -109,3 +109,22 @@ def test_zero_counts_as_positive():
     division = Division(np.array([[-1.0, 0.0, 0.0, 0.0], [-1.0, -2.0, -1.0, 0.0], [-1.0, 0.0, -1.0, 0.0]]))
     np.testing.assert_array_equal(division.of_negative, [True, False, True])
     np.testing.assert_allclose(division.smaller_share, [1.0, 0.0, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_pieces_of_cells_have_volumes_and_sides(d):
+    values = divided(d)
+    cells = RNG.permutation(len(values)) + 5
+    sided = SidedSimplices.of(cells, values)
+    volumes = np.linalg.det(sided.barycentric)
+    assert (volumes > 0.0).all()
+    np.testing.assert_allclose(np.bincount(sided.cells, volumes)[cells], 1.0)
+    phi = np.einsum("pvk,pk->pv", sided.barycentric, values[np.argsort(cells)][sided.cells - 5])
+    assert (phi * sided.side[:, None] > -1e-14).all()
+
+
+def test_parts_without_volume_are_no_pieces():
+    at_vertex, at_face = (-1.0, 0.0, 0.0, 2.0), (-1.0, 0.0, 0.0, 0.0)
+    assert sorted(SidedSimplices.of(np.array([0]), np.array([at_vertex])).side) == [-1.0, 1.0]
+    assert SidedSimplices.of(np.array([0]), np.array([at_face])).side.tolist() == [-1.0]
+    assert SidedSimplices.of(np.array([], dtype=int), np.empty((0, 4))).barycentric.shape == (0, 4, 4)

@@ -14,9 +14,13 @@ from itertools import permutations
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 
-from tigar_x import checks
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
+
+FLAT = 1e-12
+"""Share of the volume of a simplex below which a part of it is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +110,52 @@ class Division:
             points = np.concatenate([corners, between.reshape(len(rows), -1, vertices)], axis=1)
             found.append((k, rows, points))
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class SidedSimplices:
+    """Simplices within divided cells, each on one side.
+
+    Attributes:
+        cells: the cell of each, shape (pieces,).
+        barycentric: coordinates of its vertices there, in the direction in which the cell goes, shape (pieces, d + 1,
+            d + 1).
+        side: -1 or 1, shape (pieces,).
+    """
+
+    cells: IntArray
+    barycentric: FloatArray
+    side: FloatArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @classmethod
+    def of(cls, cells: IntArray, values: FloatArray) -> "SidedSimplices":
+        """Those of divided cells, one cell after the other, without such as have no volume.
+
+        Args:
+            cells: their numbers, shape (n,).
+            values: a linear function of two signs at their vertices, shape (n, d + 1).
+        """
+        division, size = Division(values), values.shape[1]
+        sign = np.where(division.of_negative, -1.0, 1.0)
+        rows, simplices, side = [np.empty(0, dtype=np.int64)], [np.empty((0, size, size))], [np.empty(0)]
+        for kinds, way in ((division.smaller, sign), (division.larger, -sign)):
+            for parts in kinds:
+                row, part = np.nonzero(parts.shares > FLAT)
+                rows.append(parts.rows[row])
+                simplices.append(parts.barycentric[row, part])
+                side.append(way[rows[-1]])
+        row = np.concatenate(rows)
+        order = np.argsort(row, kind="stable")
+        return cls(cells[row[order]], np.concatenate(simplices)[order], np.concatenate(side)[order])
+
+    def linear(self, function: fem.Function) -> FloatArray:
+        """Values of a linear function that is the same on both sides, shape (pieces, d + 1, components)."""
+        V = function.function_space
+        nodal = function.x.array.reshape(-1, V.dofmap.index_map_bs)[compat.cell_dofs(V)[self.cells]]
+        return np.asarray(self.barycentric @ nodal)
 
 
 @cache
