@@ -127,11 +127,11 @@ def test_where_it_is_attached_a_surface_covers_what_is_behind():
     np.testing.assert_array_equal(plate.near_ends(x, 0.4), [1, 2])
 
 
-def test_points_near_a_wall_are_attached_to_it():
-    wall = surfaces(grid(3, lambda u, v: np.column_stack([0.0 * u, v, u - 0.5])))
-    plate = surfaces(grid(4))
-    held = plate.attached_to(wall, 1e-6)
-    np.testing.assert_array_equal(held, plate.x[:, 0] < 1e-9)
+def test_points_near_a_wall_or_beyond_it_are_attached_to_it():
+    plate = surfaces(grid(4, lambda u, v: np.column_stack([1.25 * u - 0.25, v, 0.5 + 0.0 * u])))
+    held = plate.attached_to(cube(2), 1e-6)
+    expected = (plate.x[:, 0] < 1e-9) | (plate.x[:, 0] > 1.0 - 1e-9) | (np.abs(plate.x[:, 1] - 0.5) > 0.5 - 1e-9)
+    np.testing.assert_array_equal(held, expected)
 
 
 def test_hat_functions_at_nearest_places():

@@ -187,8 +187,9 @@ class Surfaces:
             walls: the boundary, whose normals point out of the fluid, or a part of it.
             reach: distance from it that counts as none; unit: length.
         """
-        near = walls.nearest(self.x, Sought(np.arange(len(self.x)), reach))
-        return np.isfinite(near.signed_distance())
+        size = float(np.linalg.norm(np.ptp(np.concatenate([self.x, walls.x]), axis=0)))
+        near = walls.nearest(self.x, Sought(np.arange(len(self.x)), size))
+        return near.signed_distance() <= reach  # negative beyond
 
 
 @dataclass(frozen=True, eq=False)

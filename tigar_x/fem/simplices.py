@@ -140,11 +140,11 @@ class SidedSimplices:
         """
         division, size = Division(values), values.shape[1]
         sign = np.where(division.of_negative, -1.0, 1.0)
-        rows, simplices, side = [np.empty(0, dtype=np.int64)], [np.empty((0, size, size))], [np.empty(0)]
+        rows, simplices, side = [np.empty(0, dtype=np.int32)], [np.empty((0, size, size))], [np.empty(0)]
         for kinds, way in ((division.smaller, sign), (division.larger, -sign)):
             for parts in kinds:
                 row, part = np.nonzero(parts.shares > FLAT)
-                rows.append(parts.rows[row])
+                rows.append(parts.rows[row].astype(np.int32))
                 simplices.append(parts.barycentric[row, part])
                 side.append(way[rows[-1]])
         row = np.concatenate(rows)
