@@ -97,6 +97,24 @@ def test_two_plates_in_one_cell_divide_it_as_one():
     np.testing.assert_array_equal(np.sign(pair.phi[near]), np.sign(one.phi[near]))
 
 
+def test_three_plates_in_a_star_divide_their_own_cells_alone():
+    """Not all of their normals can agree: the side changes half way between two of them as well."""
+    parts = []
+    for angle in np.deg2rad([30.0, 100.0, 270.0]):
+        along = np.array([np.cos(angle), np.sin(angle)])
+
+        def leaf(u, v, along=along):
+            return np.column_stack([0.51 + np.outer(0.06 + 0.8 * u, along), 1.4 * v - 0.2])
+
+        parts.append(grid(6, leaf))
+    e = enriching(8)
+    cut = e(surfaces(*parts)).cut.cells
+    alone = np.unique(np.concatenate([e(surfaces(part)).cut.cells for part in parts]))
+    outer = np.linalg.norm(e.corners.mean(axis=1)[:, :2] - 0.51, axis=1) > 0.3
+    np.testing.assert_array_equal(cut[outer[cut]], alone[outer[alone]])
+    assert outer[cut].sum() > 100
+
+
 def test_along_faces_of_cells_pressures_jump_there_and_velocities_are_not_kinked():
     e = enriching(4)
     found = e(surfaces(plate(0.5)))

@@ -105,6 +105,17 @@ def test_at_a_spike_the_side_is_that_of_the_mean_by_angles():
     assert (near.signed_distance()[at_tip] < 0.0).all()
 
 
+def test_beyond_the_edge_of_a_blade_the_side_is_that_of_both_faces():
+    x = np.array(
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.1], [1.0, 1.0, 0.1], [0.0, 1.0, -0.1], [1.0, 1.0, -0.1]]
+    )
+    blade = Surfaces(x, Net(np.array([[0, 1, 3, 2], [1, 0, 4, 5]]), np.arange(6)))
+    angle = np.deg2rad(np.linspace(110.0, 250.0, 15))
+    beyond = np.column_stack([np.full(15, 0.4), 0.1 * np.cos(angle), 0.1 * np.sin(angle)])
+    np.testing.assert_allclose(nearest(blade, beyond).signed_distance(), -0.1)
+    np.testing.assert_allclose(nearest(blade, [[0.4, 0.5, 0.0]]).signed_distance(), 0.05 / np.hypot(1.0, 0.1))
+
+
 def test_behind_its_edges_a_plate_goes_straight_on():
     plate = surfaces(grid(4))
     x = np.array(
@@ -154,6 +165,12 @@ def test_values_half_way_between_mirrored_surfaces_are_mirrored():
     x = np.array([[0.4, 0.3, 0.5], [0.5, 0.5, 0.5], [1 / 3, 2 / 3, 0.5], [0.4, 0.3, 0.49]])
     np.testing.assert_allclose(nearest(pair, x).values(v).ravel(), [0.0, 0.0, 0.0, 2.0], atol=1e-14)
     assert pair.net.sheet.max() == 1
+    other = [[0, 3, 4], [0, 4, 1], [1, 4, 2], [4, 5, 2], [3, 6, 4], [6, 7, 4], [4, 7, 8], [4, 8, 5]]
+    unlike = surfaces(grid(2, triangles=True), (grid(2)[0] + [0.0, 0.0, 1.0], np.array(other)))
+    v = np.where(unlike.x[:, 2] < 0.5, 2.0, -2.0)[:, None]
+    at_corner = nearest(unlike, [[0.5, 0.5, 0.5]])  # of six triangles here and of eight there
+    assert len(at_corner.point) == 2
+    np.testing.assert_allclose(at_corner.values(v), 0.0, atol=1e-14)
 
 
 def test_lines_that_cross_a_surface_or_its_continuation():

@@ -140,6 +140,6 @@ class EnrichingInSpace(Enriching):
         rest = np.flatnonzero(~real)
         ends, negative = corners[rest], cut.values[rest] < 0.0
         for a, b in EDGES:
-            crossed = surfaces.crossed(ends[:, a], ends[:, b], far)
+            crossed = surfaces.crossed(ends[:, a], ends[:, b], self._largest)
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
         return real, zero, zero.only(real[zero.rows]).covered_by(surfaces, self._largest, middle_reach)
