@@ -127,19 +127,18 @@ class EnrichingInSpace(Enriching):
 
         In other cells the sign changes as they are half way between two surfaces.
         """
-        corners, middle_reach = self.corners[cut.cells], 0.5 * self._largest
+        corners, near_by, far = self.corners[cut.cells], 0.5 * self._largest, REACH * self._largest
         zero = ZeroSet.of(cut, corners)
-        middles = zero.places(zero.barycentric.mean(axis=1))
-        middles = (
-            np.stack([zero.of_cells(m) for m in middles.T], axis=1) / zero.of_cells(np.ones(len(middles)))[:, None]
-        )
-        near_end = surfaces.near_ends(middles, 2.0 * self._largest)
-        every, far = np.arange(len(middles)), REACH * self._largest
-        off = np.abs(surfaces.nearest(middles, Sought(every, middle_reach), Sought(near_end, far)).signed_distance())
-        real = off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0)
+        middles = zero.middles()
+        at_ends = Sought(surfaces.near_ends(middles, 2.0 * self._largest), far)
+        near = surfaces.nearest(middles, Sought(np.arange(len(middles)), near_by), at_ends)
+        off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
+        real = zero.of_cells(np.where(off <= OFF_LINE * largest[zero.rows], 0.0, 1.0)) == 0.0
         rest = np.flatnonzero(~real)
         ends, negative = corners[rest], cut.values[rest] < 0.0
         for a, b in EDGES:
             crossed = surfaces.crossed(ends[:, a], ends[:, b], self._largest)
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
-        return real, zero, zero.only(real[zero.rows]).covered_by(surfaces, self._largest, middle_reach)
+        kept = real[zero.rows]
+        covered = zero.only(kept).covered_by(surfaces, self._largest, near_by, near.covered()[kept])
+        return real, zero, covered

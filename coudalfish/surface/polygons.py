@@ -107,21 +107,25 @@ class ZeroSet:
         rows = np.concatenate([self.rows, other.rows])
         return ZeroSet(self.cut, self.corners, rows, np.concatenate([self.barycentric, other.barycentric]))
 
-    def covered_by(self, surface: Covers, size: float, reach: float) -> "ZeroSet":
+    def middles(self) -> FloatArray:
+        """Of the simplices, shape (n, d)."""
+        return self.places(self.barycentric.mean(axis=1))
+
+    def covered_by(self, surface: Covers, size: float, reach: float, covered: Any = None) -> "ZeroSet":
         """What of it a surface covers.
 
         Args:
             surface: the surface.
             size: length of the longest edge of a cell.
             reach: distance of the surface beyond which it covers nothing; unit: length.
+            covered: whether the middles of the simplices are, if that is known already, shape (n,).
         """
-        ends = self.places(self.barycentric)
-        middles = ends.mean(axis=1)
-        radius = np.sqrt(((ends - middles[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
-        near = surface.from_ends(middles, size) <= radius
-        there, middles = self.only(~near), middles[~near]
-        there = there.only(surface.nearest(middles, Sought(np.arange(len(middles)), reach)).covered())
-        return there.joined(self.only(near)._clipped(surface, size, reach))
+        middles = self.middles()
+        if covered is None:
+            covered = surface.nearest(middles, Sought(np.arange(len(middles)), reach)).covered()
+        radius = np.sqrt(((self.places(self.barycentric) - middles[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
+        at_end = surface.from_ends(middles, size) <= radius
+        return self.only(covered & ~at_end).joined(self.only(at_end)._clipped(surface, size, reach))
 
     def _clipped(self, surface: Covers, size: float, reach: float) -> "ZeroSet":
         """The same, divided into small simplices of which those are cut that lie on a free edge."""
