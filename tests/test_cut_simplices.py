@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from coudalfish.surface import cut_cells
-from coudalfish.surface.cut_simplices import CutSimplices, SideWeights, rule
+from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights, rule
 
 RNG = np.random.default_rng(7)
 VALUES = {
@@ -65,7 +65,7 @@ def test_weights_integrate_over_the_side(d, values, degree):
     """Times all polynomials of degree k, at the points of any rule of degree 2 k, as over the side itself."""
     x, w = rule(d, 2 * degree)
     cut = cut_of(values)
-    c = SideWeights(degree, x)(cut)[0]
+    c = SidedWeights(degree, x)(cut)[0]
     powers = np.array([p for p in product(range(degree + 1), repeat=d) if sum(p) <= degree])
 
     def f(y):
@@ -82,7 +82,7 @@ def test_triangles_have_the_weights_that_they_had(degree):
     new, old = CutSimplices.of(vertices, phi), cut_cells.CutCells.of(vertices, phi)
     np.testing.assert_array_equal(new.cells, old.cells)
     np.testing.assert_allclose(new.negative_share, old.negative_share, rtol=0, atol=1e-15)
-    found, expected = SideWeights(degree, points)(new), cut_cells.SideWeights(degree, points)(old)
+    found, expected = SidedWeights(degree, points)(new), cut_cells.SideWeights(degree, points)(old)
     np.testing.assert_allclose(found, expected, atol=1e-11)
 
 

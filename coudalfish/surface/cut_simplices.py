@@ -123,7 +123,7 @@ class SideMoments:
         return np.where(division.of_negative[:, None], moments, self.whole - moments)
 
 
-class SideWeights:
+class SidedWeights:
     """Weights of the negative side of cut simplices; those of the positive side are one minus them.
 
     Args:

@@ -20,7 +20,7 @@ FINER = 4
 """Parts of an edge into which is divided what may lie on a free edge of a surface: narrower gaps are none."""
 
 
-class Places(Protocol):
+class Covering(Protocol):
     """Nearest places of a surface to points, see :class:`coudalfish.surface.surfaces.NearestOnSurfaces`."""
 
     def covered(self) -> Any:
@@ -39,7 +39,7 @@ class Places(Protocol):
 class Covers(Protocol):
     """A surface, see :class:`coudalfish.surface.surfaces.Surfaces`."""
 
-    def nearest(self, x: FloatArray, *sought: Sought) -> Places:
+    def nearest(self, x: FloatArray, *sought: Sought) -> Covering:
         """Nearest places to points."""
 
     def from_ends(self, x: FloatArray, reach: float) -> FloatArray:

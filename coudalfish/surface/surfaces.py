@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from coudalfish.surface.distance import SAME_DISTANCE, Sought
 from coudalfish.surface.net import OPPOSITE, Net
-from coudalfish.surface.triangles import CORNER, EDGE, FACE, Places, Triangles
+from coudalfish.surface.triangles import CORNER, EDGE, FACE, NearPlaces, Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
@@ -71,17 +71,17 @@ class Surfaces:
         for one in sought:
             limit[one.points] = one.reach
         tolerance = SAME_DISTANCE * (limit.max(initial=0.0) + self._middles[1].max(initial=0.0))
-        found, rest, count = [Places.none()], np.flatnonzero(limit >= 0.0), NEIGHBOURS
+        found, rest, count = [NearPlaces.none()], np.flatnonzero(limit >= 0.0), NEIGHBOURS
         while len(rest) and len(self.net.triangles):
             places, rest = self._among(x, limit, rest, min(count, len(self.net.triangles)), tolerance)
             found, count = [*found, places], 2 * count
-        near = Places.joined(found)
+        near = NearPlaces.joined(found)
         near = near.only(self._different(near))
         return NearestOnSurfaces(self, len(x), **near._asdict())
 
     def _among(
         self, x: FloatArray, limit: FloatArray, points: IntArray, count: int, tolerance: float
-    ) -> tuple[Places, IntArray]:
+    ) -> tuple[NearPlaces, IntArray]:
         """Nearest places among those triangles whose middles are the nearest, and points that need more of these."""
         (tree, radius), triangles = self._middles, self.triangles
         largest = float(radius.max())
@@ -89,20 +89,20 @@ class Surfaces:
         distance, k = tree.query(x[points], k=np.arange(1, count + 1), distance_upper_bound=within)
         there = np.flatnonzero(distance[:, 0] <= limit[points] + largest)
         points, distance, k = points[there], distance[there], k[there]
-        first = Places.of(triangles, x, points, k[:, 0])
+        first = NearPlaces.of(triangles, x, points, k[:, 0])
         bound = np.minimum(first.distance, limit[points])
         done = (distance[:, -1] > bound + largest + tolerance) | (count == len(radius))
         reach = np.append(radius, -np.inf)[k[:, 1:]] + (bound + tolerance)[:, None]
         row, column = np.nonzero((distance[:, 1:] <= reach) & done[:, None])
-        others = Places.of(triangles, x, points[row], k[row, column + 1])
+        others = NearPlaces.of(triangles, x, points[row], k[row, column + 1])
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         if len(starts):
             bound[row[starts]] = np.minimum(bound[row[starts]], np.minimum.reduceat(others.distance, starts))
         bound = np.minimum(bound + tolerance, limit[points])
         best = (first.distance <= bound) & done, others.distance <= bound[row]
-        return Places.joined([first.only(best[0]), others.only(best[1])]), points[~done]
+        return NearPlaces.joined([first.only(best[0]), others.only(best[1])]), points[~done]
 
-    def _different(self, near: Places) -> IntArray:
+    def _different(self, near: NearPlaces) -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""
         order = np.lexsort((near.triangle, near.point))
         point = near.point[order]

@@ -129,7 +129,7 @@ class Triangles:
         return parted & ((around >= 0.0).all(axis=0) | (around <= 0.0).all(axis=0))
 
 
-class Places(NamedTuple):
+class NearPlaces(NamedTuple):
     """Places of triangles that are nearest to points.
 
     Attributes:
@@ -149,22 +149,22 @@ class Places(NamedTuple):
     distance: FloatArray
 
     @classmethod
-    def of(cls, triangles: Triangles, x: FloatArray, point: IntArray, triangle: IntArray) -> "Places":
+    def of(cls, triangles: Triangles, x: FloatArray, point: IntArray, triangle: IntArray) -> "NearPlaces":
         """Of one triangle for each point."""
         inner, gap, kind = triangles.nearest(x[point], triangle)
         return cls(point, triangle, kind, inner, gap, np.sqrt(np.einsum("pi,pi->p", gap, gap)))
 
     @classmethod
-    def joined(cls, several: Sequence["Places"]) -> "Places":
+    def joined(cls, several: Sequence["NearPlaces"]) -> "NearPlaces":
         """All of several."""
         return cls(*map(np.concatenate, zip(*several, strict=True)))
 
-    def only(self, chosen: Any) -> "Places":
+    def only(self, chosen: Any) -> "NearPlaces":
         """Some of them, by a mask or in an order."""
-        return Places(*(part[chosen] for part in self))
+        return NearPlaces(*(part[chosen] for part in self))
 
     @classmethod
-    def none(cls) -> "Places":
+    def none(cls) -> "NearPlaces":
         """No place."""
         no = np.empty(0, dtype=np.int32)
         return cls(no, no, no, np.empty((0, 2)), np.empty((0, 3)), np.empty(0))
