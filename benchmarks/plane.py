@@ -112,7 +112,8 @@ def rigid(geometry: Any) -> Shell:
     return Shell(geometry, StVenantKirchhoff(1.0, 0.3, 0.05, bending=False), density=1.0, zero_dofs=fixed(geometry))
 
 
-def _flow(mesh: Any, conditions: Sequence[Any], setting: Setting, *, pin_at: Any = None, **data: Any) -> Flow:
+def immersed_flow(mesh: Any, conditions: Sequence[Any], setting: Setting, *, pin_at: Any = None, **data: Any) -> Flow:
+    """The flow of a scene with the options and fields of a setting."""
     options = setting.flow if pin_at is None else replace(setting.flow, pin_at=pin_at)
     return Flow(mesh, conditions, immersed=setting.immersed, options=options, **data)
 
@@ -159,7 +160,7 @@ class HeldSheet:
             return ufl.as_vector([self.jump * 0.5 * (1.0 - ufl.cos(math.pi * ufl.min_value(t / end, 1.0))), 0.0])
 
         ends = [Traction("left", load), Traction("right"), Slip(("bottom", "top"))]
-        flow = _flow(mesh, ends, setting, rho=self.rho, mu=self.mu, dt=self.dt, scheme=generalized_alpha(0.0))
+        flow = immersed_flow(mesh, ends, setting, rho=self.rho, mu=self.mu, dt=self.dt, scheme=generalized_alpha(0.0))
         x = 1.0 + self.place / self.n
         line = shapes.line((x, 0.0), (x, 1.0), elements=round(self.per_cell * self.n))
         s = line.points[:, 1]
@@ -245,7 +246,7 @@ class String:
         mesh = box(COMM, (-1.0, 0.0), (1.0, 1.0), (2 * self.n, self.n))
         size = {"dt": 1.0 / self.steps_per_period, "scheme": generalized_alpha(0.5)}
         walls = [Slip(("left", "right", "bottom", "top"))]
-        flow = _flow(mesh, walls, setting, pin_at=(-1.0, 0.0), rho=self.rho, mu=self.mu, **size)
+        flow = immersed_flow(mesh, walls, setting, pin_at=(-1.0, 0.0), rho=self.rho, mu=self.mu, **size)
         line = shapes.line((self.place / self.n, 0.0), (self.place / self.n, 1.0), elements=2 * self.n)
         tension, thickness = self.tension, 0.01
         material = StVenantKirchhoff(1e-3 * tension / thickness, 0.3, thickness, prestress=(tension,), bending=False)
@@ -351,7 +352,7 @@ class Ring:
         mesh = box(COMM, (0.0, 0.0), (1.0, 1.0), (self.n, self.n))
         walls = [Velocity(("left", "right", "bottom", "top"))]
         known = {"rho": 1.0, "mu": self.mu, "dt": self.dt, "scheme": generalized_alpha(0.5)}
-        flow = _flow(mesh, walls, setting, pin_at=(0.0, 0.0), **known)
+        flow = immersed_flow(mesh, walls, setting, pin_at=(0.0, 0.0), **known)
         (a, b), number = self.axes, round(self.per_cell * self.n * math.pi * sum(self.axes))
         angles = 2.0 * math.pi * np.linspace(0.0, 1.0, number + 1)
         points = np.column_stack([0.5 + a * np.cos(angles), 0.5 + b * np.sin(angles)])
@@ -425,7 +426,7 @@ class Plate:
         mesh = box(COMM, (-slack, 0.0), (8.0 * h + slack, 1.0), (8, self.n))
         walls = [Slip(("bottom", "top")), Velocity(("left", "right"), (0.0, 0.0), components=(1,))]
         known = {"rho": 1.0, "mu": self.mu, "dt": 1.0 / self.steps_per_period, "scheme": generalized_alpha(0.5)}
-        flow = _flow(mesh, walls, setting, **known)
+        flow = immersed_flow(mesh, walls, setting, **known)
         y, mass, omega = 0.5 + self.place * h, 100.0 * self.delta * h, 2.0 * math.pi
         line = shapes.line((0.0, y), (8.0 * h, y), elements=16)
         size = 0.1 * slack * omega**2 * mass
@@ -511,7 +512,7 @@ class Slit:
         mesh = box(COMM, (-1.0, 0.0), (1.0, 1.0), (2 * self.n, self.n))
         ends = [Traction("left", (1.0, 0.0)), Traction("right"), Slip(("bottom", "top"))]
         dt = self.cfl * h * self.gap * h / self.reference
-        flow = _flow(mesh, ends, setting, rho=1.0, mu=self.mu, dt=dt, scheme=generalized_alpha(0.0))
+        flow = immersed_flow(mesh, ends, setting, rho=1.0, mu=self.mu, dt=dt, scheme=generalized_alpha(0.0))
         x, low = self.place * h, 0.5 + (self.middle - 0.5 * self.gap) * h
         spans = (0.0, low), (low + self.gap * h, 1.0)
         lines = [
@@ -582,7 +583,7 @@ class Flag:
         y = _graded(-self.beside, self.beside, (-0.625, 0.625), 1.0 / self.n)
         sides = [Velocity("left", (1.0, 0.0)), Slip(("bottom", "top")), Traction("right")]
         known = {"rho": 1.0, "mu": 1.0 / self.reynolds, "dt": self.dt, "scheme": generalized_alpha(0.5)}
-        flow = _flow(grid(COMM, (x, y)), sides, setting, **known)
+        flow = immersed_flow(grid(COMM, (x, y)), sides, setting, **known)
         flow.start((1.0, 0.0))
         line = shapes.line((0.0, 0.0), (math.cos(self.angle), math.sin(self.angle)), elements=self.n, degree=2)
         thickness = math.sqrt(12.0 * self.bending * self.mass / self.stretching)

@@ -5,14 +5,15 @@ and memory are its alone; within a table they may be compared, as the runs follo
 
 A setting is a preset of the coupling's options, ``plain`` (the options as they are), ``converged``, ``sharp`` and so
 on, with changes to them, ``plain(relaxation=0.2, penalty=(10, 0))``; ``immersed`` is that of the flow, plain but for
-``sharp``, and options of the flow are taken too.
+``sharp`` and for ``jump``, a pressure that jumps alone, with a normal multiplier that is converged. Options of the flow
+are taken too.
 """
 
 import ast
 import csv
 import logging
 import multiprocessing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,14 @@ from tigar_x.run import script
 from tigar_x.run.progress import peak_rss_mib
 from varmint import FlowOptions
 
+JUMP = CouplingOptions.converged(fluid_tangent="consistent")
+IMMERSED = {"sharp": "jump and kink", "jump": "jump"}
+"""What the flow's fields know of the surface, by presets for which they are not plain."""
 COSTS = ("leaked", "steps", "passes mean/max", "hard", "CPU ms/step", "MiB")
-Scene = HeldSheet | String | Ring | Plate | Slit | Flag
-Study = tuple[tuple[str, ...], dict[str, Scene]]
+Study = tuple[tuple[str, ...], dict[str, Any]]
 """Names of the figures that count, and scenes by name."""
+Job = tuple[str, str, tuple[str, ...], Any, bool]
+"""Study, case, figures and scene of a run, and whether its sheet is shifted through a cell."""
 
 LOADED = {"2000 steps": LOADED_ARC, "dt x 10": replace(LOADED_ARC, dt=0.1, steps=200, ramp=6)}
 STUDIES: dict[str, Study] = {
@@ -75,8 +80,12 @@ PLACES = 20
 SHIFTED: dict[str, HeldSheet] = {"arc": HeldSheet(), "straight": HeldSheet(bow=0.0)}
 
 
-def setting_of(text: str) -> Setting:
+def setting_of(text: str, start: Setting = Setting()) -> Setting:
     """A setting from text, see the module.
+
+    Args:
+        text: see there.
+        start: with the options of the flow that the text does not change.
 
     Raises:
         ValueError: it is no such text.
@@ -89,22 +98,22 @@ def setting_of(text: str) -> Setting:
     given = {str(item.arg): ast.literal_eval(item.value) for item in call.keywords}
     if isinstance(given.get("penalty"), tuple):
         given["penalty"] = PenaltyRule(*given["penalty"])
-    start = Setting()
     of_flow = {name: given.pop(name) for name in {f.name for f in fields(FlowOptions)} & set(given)}
     name = call.func.id
-    immersed = given.pop("immersed", "jump and kink" if name == "sharp" else start.immersed)
-    preset = CouplingOptions() if name == "plain" else getattr(CouplingOptions, name, None)
+    immersed = given.pop("immersed", IMMERSED.get(name, start.immersed))
+    known = {"plain": CouplingOptions(), "jump": JUMP}
+    preset = known[name] if name in known else getattr(CouplingOptions, name, None)
     if preset is None:
         raise ValueError(f"{name!r} is no preset of CouplingOptions")
     options = (preset if isinstance(preset, CouplingOptions) else preset()).with_(**given)
     return Setting(options, immersed, replace(start.flow, **of_flow))
 
 
-def measure(scene: Scene, text: str, shifted: bool = False) -> dict[str, Any]:
+def measure(scene: Any, text: str, shifted: bool = False, start: Setting = Setting()) -> dict[str, Any]:
     """Run a scene with a setting: its figures and costs, or why it failed."""
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     try:
-        setting = setting_of(text)
+        setting = setting_of(text, start)
         if shifted and isinstance(scene, HeldSheet):
             found = scene.shifted(setting, PLACES)
             speeds = [each.figures["velocity"] for each in found]
@@ -129,15 +138,53 @@ def costs(found: Found) -> dict[str, Any]:
     }
 
 
-def jobs(only: str) -> Iterator[tuple[str, str, tuple[str, ...], Scene, bool]]:
-    """Study, case, figures and scene of every run, and whether the sheet is shifted through a cell."""
-    for study, (figures, scenes) in STUDIES.items():
+def jobs(only: str, studies: dict[str, Study] = STUDIES) -> Iterator[Job]:
+    """The runs of studies whose study and case contain a text."""
+    for study, (figures, scenes) in studies.items():
         for case, scene in scenes.items():
             if only in f"{study}: {case}":
                 yield study, case, figures, scene, False
+
+
+def shifted_jobs(only: str) -> Iterator[Job]:
+    """The runs of sheets that are shifted, likewise."""
     for case, scene in SHIFTED.items():
         if only in f"shifted: {case}":
             yield "shifted", case, ("smallest", "largest", "ratio"), scene, True
+
+
+def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = Setting()) -> None:
+    """Run scenes with settings; print a table for each study as Markdown, and write them all as CSV.
+
+    Args:
+        runs: what to run.
+        settings: separated by semicolons, see the module.
+        path: file of the results.
+        start: see :func:`setting_of`.
+    """
+    chosen = [text.strip() for text in settings.split(";")]
+    for text in chosen:
+        setting_of(text, start)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    last, rows = "", []
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        for study, case, figures, scene, shifted in runs:
+            if study != last:
+                header = ("case", "setting", *figures, *COSTS)
+                print(f"\n**{study}**\n\n| {' | '.join(header)} |\n|{' --- |' * len(header)}")
+            last = study
+            for text in chosen:
+                found = pool.apply(measure, (scene, text, shifted, start))
+                rows += [{"study": study, "case": case, "setting": text, "name": n, "value": found[n]} for n in found]
+                shown = [found.get(name, "-") for name in (*figures, *COSTS)]
+                shown[-1] = found.get("failed", shown[-1])
+                cells = [f"{x:.3g}" if isinstance(x, float | np.floating) else str(x) for x in (case, text, *shown)]
+                print(f"| {' | '.join(cells)} |", flush=True)
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, ("study", "case", "setting", "name", "value"))
+        writer.writeheader()
+        writer.writerows(rows)
+    print(f"\nwritten: {path}")
 
 
 def main(settings: str = "plain; converged; sharp", only: str = "", out: Path = Path("results/surface")) -> None:
@@ -148,29 +195,7 @@ def main(settings: str = "plain; converged; sharp", only: str = "", out: Path = 
         only: run the cases whose study and name, "slit: Re 0.5, CFL 1, gap 2 h", contain this.
         out: folder of the results.
     """
-    chosen = [text.strip() for text in settings.split(";")]
-    for text in chosen:
-        setting_of(text)
-    out.mkdir(parents=True, exist_ok=True)
-    last, rows = "", []
-    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
-        for study, case, figures, scene, shifted in jobs(only):
-            if study != last:
-                header = ("case", "setting", *figures, *COSTS)
-                print(f"\n**{study}**\n\n| {' | '.join(header)} |\n|{' --- |' * len(header)}")
-            last = study
-            for text in chosen:
-                found = pool.apply(measure, (scene, text, shifted))
-                rows += [{"study": study, "case": case, "setting": text, "name": n, "value": found[n]} for n in found]
-                shown = [found.get(name, "-") for name in (*figures, *COSTS)]
-                shown[-1] = found.get("failed", shown[-1])
-                cells = [f"{x:.3g}" if isinstance(x, float | np.floating) else str(x) for x in (case, text, *shown)]
-                print(f"| {' | '.join(cells)} |", flush=True)
-    with open(out / "surface.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, ("study", "case", "setting", "name", "value"))
-        writer.writeheader()
-        writer.writerows(rows)
-    print(f"\nwritten: {out / 'surface.csv'}")
+    tabulate([*jobs(only), *shifted_jobs(only)], settings, out / "surface.csv")
 
 
 if __name__ == "__main__":
