@@ -29,6 +29,7 @@ from varmint import FlowOptions
 JUMP = CouplingOptions.converged(fluid_tangent="consistent")
 IMMERSED = {"sharp": "jump and kink", "jump": "jump"}
 """What the flow's fields know of the surface, by presets for which they are not plain."""
+START = Setting()
 COSTS = ("leaked", "steps", "passes mean/max", "hard", "CPU ms/step", "MiB")
 Study = tuple[tuple[str, ...], dict[str, Any]]
 """Names of the figures that count, and scenes by name."""
@@ -80,7 +81,7 @@ PLACES = 20
 SHIFTED: dict[str, HeldSheet] = {"arc": HeldSheet(), "straight": HeldSheet(bow=0.0)}
 
 
-def setting_of(text: str, start: Setting = Setting()) -> Setting:
+def setting_of(text: str, start: Setting = START) -> Setting:
     """A setting from text, see the module.
 
     Args:
@@ -109,7 +110,7 @@ def setting_of(text: str, start: Setting = Setting()) -> Setting:
     return Setting(options, immersed, replace(start.flow, **of_flow))
 
 
-def measure(scene: Any, text: str, shifted: bool = False, start: Setting = Setting()) -> dict[str, Any]:
+def measure(scene: Any, text: str, shifted: bool = False, start: Setting = START) -> dict[str, Any]:
     """Run a scene with a setting: its figures and costs, or why it failed."""
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     try:
@@ -153,7 +154,7 @@ def shifted_jobs(only: str) -> Iterator[Job]:
             yield "shifted", case, ("smallest", "largest", "ratio"), scene, True
 
 
-def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = Setting()) -> None:
+def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = START) -> None:
     """Run scenes with settings; print a table for each study as Markdown, and write them all as CSV.
 
     Args:
