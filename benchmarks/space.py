@@ -31,6 +31,7 @@ from tigar_x.geometry.gluing import glued
 from tigar_x.geometry.multipatch import MultiPatch
 from tigar_x.geometry.patch import Patch
 from varmint import Flow, FlowOptions, PointValues, Slip, Traction, Velocity, WeakVelocity, box, flow_rate
+from varmint.mesh.models import Region, from_gmsh, set_sizes
 from varmint.quantities import BoundaryForce
 
 IN_SPACE = Setting(flow=FlowOptions())
@@ -129,9 +130,9 @@ class HeldSurface:
     """
 
     n: int = 8
-    dt: float = 0.05
-    steps: int = 3
-    ramp: int = 0
+    dt: float = 1.0
+    steps: int = 10
+    ramp: int = 10
     rho: float = 1.0
     mu: float = 0.1
     jump: float = 1.0
@@ -192,7 +193,7 @@ class HeldSurface:
         )
 
 
-VALVE_NUMBERS = HeldSurface(n=8, dt=1e-4, steps=200, mu=0.04, jump=1e5, iterative=True)
+VALVE_NUMBERS = HeldSurface(n=8, dt=1e-4, steps=200, ramp=0, mu=0.04, jump=1e5, iterative=True)
 """Centimetres, grams and seconds of a heart valve that closes at once."""
 
 
@@ -353,7 +354,7 @@ class Fence:
     height: float = 0.55
     width: float = 0.55
     thickness: float = 0.05
-    youngs_modulus: float = 1.6e4
+    youngs_modulus: float = 3.2e4
     density: float = 10.0
     ramp: float = 0.3
     per_cell: float = 1.0
@@ -723,7 +724,10 @@ class Obstacle:
         )
 
 
-def fitted_drag(size: float, *, reynolds: float = 20.0, degree: int = 1, around: float = 0.3) -> dict[str, float]:
+# -- meshes that fit --------------------------------------------------------------------------------------------------
+
+
+def fitted_drag(size: float, *, reynolds: float = 20.0, degree: int = 2, around: float = 0.25) -> dict[str, float]:
     """Drag of :class:`Obstacle` in steady flow on a mesh that fits the sphere, by gmsh.
 
     Args:
@@ -732,39 +736,62 @@ def fitted_drag(size: float, *, reynolds: float = 20.0, degree: int = 1, around:
         degree: of velocity and pressure.
         around: size of the cells at the sphere over that far away.
     """
-    from varmint.mesh.models import from_gmsh
 
-    flow = Flow(
-        from_gmsh(COMM, lambda gmsh: _quarter(gmsh, size, around * size), 3),
-        [Velocity("inlet", (1.0, 0.0, 0.0)), Velocity("sphere"), Slip("walls"), Traction("outlet")],
-        rho=1.0, mu=1.0 / reynolds, degree=degree,
-    )  # fmt: skip
+    def build(gmsh: Any) -> None:
+        occ = gmsh.model.occ
+        channel, body = occ.addBox(-1.5, 0.0, 0.0, 4.0, 1.0, 1.0), occ.addSphere(0.0, 0.0, 0.0, 0.5)
+        occ.cut([(3, channel)], [(3, body)])
+        centre = {"Radius": 0.5, "XCenter": 0.0, "YCenter": 0.0, "ZCenter": 0.0}
+        _meshed(gmsh, 0, size, Region("Ball", around * size, centre))
+
+    sides = [Velocity("start", (1.0, 0.0, 0.0)), Velocity("body"), Slip("walls"), Traction("end")]
+    flow = Flow(from_gmsh(COMM, build, 3), sides, rho=1.0, mu=1.0 / reynolds, degree=degree)
     flow.start((1.0, 0.0, 0.0))
     flow.solve()
-    return {"drag": 8.0 * float(BoundaryForce(flow, "sphere")()[0]), "unknowns": flow.unknowns}
+    return {"drag": 8.0 * float(BoundaryForce(flow, "body")()[0]), "unknowns": flow.unknowns}
 
 
-def _quarter(gmsh: Any, size: float, near: float) -> None:
-    """A quarter of the channel around the sphere."""
-    occ, model = gmsh.model.occ, gmsh.model
-    whole, body = occ.addBox(-1.5, 0.0, 0.0, 4.0, 1.0, 1.0), occ.addSphere(0.0, 0.0, 0.0, 0.5)
-    occ.cut([(3, whole)], [(3, body)])
-    occ.synchronize()
-    groups: dict[str, list[int]] = {"inlet": [], "outlet": [], "walls": [], "sphere": []}
+def fitted_flow(hole: Hole, *, around: float = 0.25, thickness: float = 0.05, degree: int = 2) -> dict[str, float]:
+    """Flow of :class:`Hole`, over that of slow flow, on a mesh that fits a plate of some thickness, by gmsh.
+
+    Args:
+        hole: which; in the middle of the channel.
+        around: size of the cells at the hole over its radius.
+        thickness: of the plate over the radius.
+        degree: of velocity and pressure.
+    """
+    R, L = hole.radius, hole.length
+
+    def build(gmsh: Any) -> None:
+        occ, half = gmsh.model.occ, 0.5 * thickness * R
+        channel = occ.addBox(0.0, 0.0, -L, 0.5, 0.5, 2.0 * L)
+        plate = occ.addBox(0.0, 0.0, -half, 0.5, 0.5, 2.0 * half)
+        way = occ.addCylinder(0.0, 0.0, -half, 0.0, 0.0, 2.0 * half, R)
+        solid, _ = occ.cut([(3, plate)], [(3, way)])
+        occ.cut([(3, channel)], solid)
+        centre = {"Radius": 1.2 * R, "XCenter": 0.0, "YCenter": 0.0, "ZCenter": 0.0}
+        _meshed(gmsh, 2, 0.12, Region("Ball", around * R, centre))
+
+    ends = [Traction("end", (0.0, 0.0, -1.0)), Traction("start"), Slip("walls"), Velocity("body")]
+    flow = Flow(from_gmsh(COMM, build, 3), ends, rho=1.0, mu=hole.mu, degree=degree)
+    flow.solve()
+    (rate,) = compat.compile_forms(flow_rate(flow, "start"))
+    return {"flow": 4.0 * compat.assemble_scalar(rate) / hole.reference, "unknowns": flow.unknowns}
+
+
+def _meshed(gmsh: Any, axis: int, size: float, *regions: Region) -> None:
+    """Name the sides of a quarter of a channel along an axis with a body in it, and say how large cells are."""
+    model = gmsh.model
+    model.occ.synchronize()
+    low, high = np.split(np.array(model.getBoundingBox(-1, -1)), 2)
+    groups: dict[str, list[int]] = {"start": [], "end": [], "walls": [], "body": []}
     for _, tag in model.getEntities(2):
-        low, high = np.split(np.array(model.getBoundingBox(2, tag)), 2)
-        flat = high - low < 1e-4
-        name = "sphere" if not flat.any() else "walls"
-        if flat[0]:
-            name = "inlet" if low[0] < 0.0 else "outlet"
+        box_of = np.split(np.array(model.getBoundingBox(2, tag)), 2)
+        on_side = [np.abs(np.array(box_of) - side[k]).max(axis=0)[k] < 1e-4 for side in (low, high) for k in range(3)]
+        flat = np.reshape(on_side, (2, 3))
+        name = "start" if flat[0, axis] else "end" if flat[1, axis] else "walls" if flat.any() else "body"
         groups[name].append(tag)
     for name, tags in groups.items():
         model.setPhysicalName(2, model.addPhysicalGroup(2, tags), name)
     model.addPhysicalGroup(3, [tag for _, tag in model.getEntities(3)])
-    field = model.mesh.field
-    for kind, value in {"VIn": near, "VOut": size, "Radius": 0.55, "Thickness": 1.0}.items():
-        ball = 1 if field.list().size else field.add("Ball", 1)
-        field.setNumber(ball, kind, value)
-    field.setAsBackgroundMesh(1)
-    for name in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
-        gmsh.option.setNumber(f"Mesh.{name}", 0)
+    set_sizes(gmsh, size, regions)

@@ -18,12 +18,12 @@ GAPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 IN_GAPS = ("flow", "leak", "change")
 STUDIES: dict[str, Study] = {
     "dome": (AT_REST, {f"n {n}": HeldSurface(n) for n in (8, 16, 24)}),
-    "dome, jump": (AT_REST, {f"{jump:g}": HeldSurface(jump=jump, dt=0.05 * jump**-0.5) for jump in JUMPS}),
+    "dome, jump": (AT_REST, {f"{jump:g}": HeldSurface(jump=jump, dt=jump**-0.5) for jump in JUMPS}),
     "dome, weak walls": (AT_REST, {f"n {n}": HeldSurface(n, weak=True) for n in (8, 16)}),
     "tilted plate": (AT_REST, {f"n {n}": replace(TILTED, n=n) for n in (8, 16, 24)}),
     "tilted plate, jump": (
         AT_REST,
-        {f"{jump:g}": replace(TILTED, jump=jump, dt=0.05 * jump**-0.5) for jump in JUMPS},
+        {f"{jump:g}": replace(TILTED, jump=jump, dt=jump**-0.5) for jump in JUMPS},
     ),
     "valve numbers": (AT_REST, {"n 8": VALVE_NUMBERS, "n 8, weak walls": replace(VALVE_NUMBERS, weak=True)}),
     "sphere": (
