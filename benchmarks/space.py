@@ -481,6 +481,8 @@ class Slit:
         return scene.found(**until_steady(scene, flow_rate(scene.flow, "right"), reference, *more))
 
 
+SLOWED = {20.0: 0.75}
+"""Flow through a hole over that of slow flow, by :func:`fitted_flow` at some Reynolds numbers, within 1 %."""
 ARRAY = 2.0 / (3.0 * math.pi) * 9.0336
 """By how much holes in a square array, whose walls are planes of symmetry, help each other, over (radius/side)^3.
 
@@ -495,12 +497,12 @@ class Hole:
 
     A jump of pressure of one drives the fluid, which starts at rest with the jump in its pressure and on the plate.
     Slow flow through a hole in a wall has the rate ``jump radius^3/(3 mu)`` (Sampson, doi:10.1098/rspl.1891.0009),
-    which the images of the hole behind the walls raise a little, see ``ARRAY``; faster flow is asked for as its
-    discharge alone.
+    which the images of the hole behind the walls raise a little, see ``ARRAY``; for faster flow see ``SLOWED``.
 
     Attributes:
         gap: diameter of the hole in cells of the fluid.
-        reynolds: Reynolds number of the mean velocity and the diameter that slow flow would have.
+        reynolds: Reynolds number of the diameter and the mean velocity that slow flow would have; up to 1, where the
+            flow counts as slow, or one of ``SLOWED``.
         cfl: time step times that mean velocity over the size of a cell.
         n: fluid cells across.
         length: of the channel to both sides.
@@ -534,7 +536,12 @@ class Hole:
 
     @property
     def reference(self) -> float:
-        """Flow rate of slow flow for a jump and a density of one."""
+        """Flow rate for a jump and a density of one."""
+        return self.slow * (SLOWED[self.reynolds] if self.reynolds > 1.0 else 1.0)
+
+    @property
+    def slow(self) -> float:
+        """Flow rate without inertia."""
         return self.radius**3 / (3.0 * self.mu) * (1.0 + ARRAY * self.radius**3)
 
     def build(self, setting: Setting) -> Coupled:
@@ -557,9 +564,9 @@ class Hole:
     def run(self, setting: Setting = IN_SPACE) -> Found:
         """Let it flow until it is steady.
 
-        Figures: "flow" over that of slow flow, "discharge", the flow over ``area sqrt(2 jump/rho)``, "leak", what
-        passes the plate according to the points on it over the flow of slow flow, and "change", that of the flow at
-        the end while the fluid passes a cell.
+        Figures: "flow" over the reference, "discharge", the flow over ``area sqrt(2 jump/rho)``, "leak", what passes
+        the plate according to the points on it over the reference, and "change", that of the flow at the end while
+        the fluid passes a cell.
         """
         scene = self.build(setting)
         found = until_steady(scene, flow_rate(scene.flow, "back"), self.reference, self.cfl, self.steady, self.most)
@@ -657,7 +664,7 @@ class Pair:
             leak=monitors.leak if monitors else math.nan,
             force=abs(monitors.force[2]) / self.jump - 1.0 if monitors else math.nan,
             distance=float(abs(x[1] - x[0])) * self.n / self.apart - 1.0,
-            contact=0.5 * touch.load / self.jump - 1.0 if touch else math.nan,
+            contact=touch.load / self.jump - 1.0 if touch else math.nan,
             iterations=iterations(scene),
         )
 
@@ -752,7 +759,7 @@ def fitted_drag(size: float, *, reynolds: float = 20.0, degree: int = 2, around:
 
 
 def fitted_flow(hole: Hole, *, around: float = 0.25, thickness: float = 0.05, degree: int = 2) -> dict[str, float]:
-    """Flow of :class:`Hole`, over that of slow flow, on a mesh that fits a plate of some thickness, by gmsh.
+    """Flow of :class:`Hole`, over that of slow flow through a thin plate, on a mesh that fits a plate, by gmsh.
 
     Args:
         hole: which; in the middle of the channel.
@@ -776,7 +783,7 @@ def fitted_flow(hole: Hole, *, around: float = 0.25, thickness: float = 0.05, de
     flow = Flow(from_gmsh(COMM, build, 3), ends, rho=1.0, mu=hole.mu, degree=degree)
     flow.solve()
     (rate,) = compat.compile_forms(flow_rate(flow, "start"))
-    return {"flow": 4.0 * compat.assemble_scalar(rate) / hole.reference, "unknowns": flow.unknowns}
+    return {"flow": 4.0 * compat.assemble_scalar(rate) / hole.slow, "unknowns": flow.unknowns}
 
 
 def _meshed(gmsh: Any, axis: int, size: float, *regions: Region) -> None:

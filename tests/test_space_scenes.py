@@ -1,0 +1,174 @@
+"""What the scenes in space of benchmarks/space.py say of the library, and what they are measured by."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from space import (
+    IN_SPACE,
+    SLOWED,
+    Fence,
+    HeldSurface,
+    Hole,
+    Obstacle,
+    Pair,
+    Slit,
+    Sphere,
+    ball,
+    fitted_drag,
+    fitted_flow,
+    pressure_error,
+)
+from surface import setting_of
+from surface_space import STUDIES
+
+from coudalfish.surface.sheets import Sheets
+from tigar_x.splines.quadrature import NodalQuadrature
+from tigar_x.splines.spline import ExtractedSpline
+
+CONVERGED = setting_of("converged", IN_SPACE)
+
+
+# -- at rest ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_what_flows_at_a_held_dome_under_pressure_goes_down_with_the_mesh_and_up_with_the_pressure():
+    dome = HeldSurface(4)
+    coarse, fine, light = dome.run(), replace(dome, n=8).run(), replace(dome, jump=1e-3).run()
+    assert fine.figures["velocity"] < 0.5 * coarse.figures["velocity"] < 0.02
+    assert light.figures["velocity"] == pytest.approx(coarse.figures["velocity"], rel=0.05)
+    assert abs(fine.figures["load"]) < 0.01
+    assert fine.figures["pressure"] < 0.12
+    assert max(coarse.imbalance, fine.imbalance) < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("changes", [{"curved": 0.0, "slope": (0.31, 0.17)}, {"weak": True}])
+def test_no_volume_passes_a_held_surface_with_a_converged_multiplier(changes):
+    found = HeldSurface(4, ramp=2, steps=2, **changes).run(CONVERGED)
+    assert abs(found.figures["leak"]) < 1e-7
+    assert found.passes.max() == 1
+
+
+@pytest.mark.mpi
+def test_the_error_of_the_pressure_is_that_of_a_known_one():
+    scene = HeldSurface(4).build(IN_SPACE)
+    scene.flow.start(pressure=lambda x, t: 2.0 * x[0] - x[2])
+    wrong = pressure_error(scene.flow, lambda x: 2.0 * x[:, 0] - x[:, 2] + 3.0, lambda x: np.abs(x[:, 2] - 0.5))
+    assert wrong == pytest.approx(3.0, rel=1e-12)
+    scene.flow.start(pressure=0.0)
+    half = pressure_error(scene.flow, lambda x: 1.0 * (x[:, 2] > 0.4), lambda x: np.abs(x[:, 2] - 0.4))
+    assert half == pytest.approx(math.sqrt(0.6), rel=0.02)
+
+
+@pytest.mark.parametrize("quarter", [False, True])
+def test_a_ball_is_a_closed_sphere_whose_normals_point_outwards(quarter):
+    center = np.array([0.1, 0.2, -0.3])
+    spline = ExtractedSpline(ball(0.5, center, 4, quarter=quarter))
+    sheets = Sheets.of(spline)
+    x = spline.node_positions - center
+    assert np.linalg.norm(x, axis=1) == pytest.approx(np.full(len(x), 0.5), rel=1e-3)
+    one, other = x[sheets.cells[:, 1]] - x[sheets.cells[:, 0]], x[sheets.cells[:, 3]] - x[sheets.cells[:, 0]]
+    assert (np.einsum("ci,ci->c", np.cross(one, other), x[sheets.cells].mean(axis=1)) > 0.0).all()
+    if not quarter:
+        assert NodalQuadrature.of(spline).weights.sum() == pytest.approx(math.pi, rel=1e-3)
+    else:
+        assert (x[:, 1:].min(axis=0) < -0.05).all()
+        assert (x[:, 1:].min(axis=0) > -0.15).all()
+
+
+@pytest.mark.mpi
+def test_a_sphere_keeps_its_volume_and_the_pressure_inside_with_a_converged_multiplier():
+    sphere = Sphere(6, steps=3)
+    lagged, converged = sphere.run(), sphere.run(CONVERGED)
+    assert lagged.figures["volume"] < -0.04
+    assert abs(converged.figures["volume"]) < 2e-3
+    assert abs(converged.figures["load"]) < 0.06
+    assert converged.figures["roundness"] > 0.99
+    assert converged.imbalance < 1e-12
+
+
+# -- a plate with free edges ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_stream_bends_a_fence():
+    found = Fence(4, steps=20).run(CONVERGED)
+    assert 0.1 < found.figures["tip"] < 0.5
+    assert found.figures["drag"] > 0.2
+    assert found.figures["leak"] < 0.02
+    assert found.figures["wobble"] < 0.05
+
+
+# -- gaps -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_more_flows_through_a_wider_slit_and_nothing_through_the_plates():
+    narrow, wide = (Slit(gap, n=8, steady=1e-2).run(CONVERGED) for gap in (2.0, 4.0))
+    assert 0.2 < narrow.figures["flow"] < wide.figures["flow"] < 1.0
+    assert max(abs(narrow.figures["leak"]), abs(wide.figures["leak"])) < 1e-6
+
+
+@pytest.mark.mpi
+def test_less_than_sampsons_flow_passes_a_hole_of_a_few_cells_and_nothing_its_plate():
+    for gap in (2.0, 4.0):
+        figures = Hole(gap, n=8, steady=1e-2).run(CONVERGED).figures
+        assert 0.4 < figures["flow"] < 1.0
+        assert abs(figures["leak"]) < 1e-6
+        # the mean velocity of slow flow with a Reynolds number of 1/2 is that of sqrt(1/(12 pi)) without friction
+        assert figures["discharge"] / figures["flow"] == pytest.approx(math.sqrt(0.5 / (12.0 * math.pi)), rel=0.05)
+
+
+def test_flow_through_a_hole_in_a_mesh_that_fits_is_that_of_sampson_and_slower_with_inertia():
+    slow, fast = (fitted_flow(Hole(4.0, reynolds=re, length=0.3), around=0.5)["flow"] for re in (0.05, 20.0))
+    assert slow == pytest.approx(0.9, abs=0.12)  # the plate is not thin, and the mesh is coarse
+    assert fast / slow == pytest.approx(SLOWED[20.0], abs=0.05)
+
+
+# -- two surfaces in one cell -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_two_plates_in_one_cell_hold_a_pressure_and_contact_holds_them_apart():
+    pair = Pair(0.5, n=4, steps=10)
+    held = pair.run(CONVERGED)
+    assert abs(held.figures["force"]) < 0.05
+    assert abs(held.figures["leak"]) < 1e-6
+    scene = replace(pair, touching=True).build(IN_SPACE)
+    scene.step()
+    load = scene.reports[-1].contact.load
+    assert load == pytest.approx(pair.jump, rel=0.15)  # less at the edges
+
+
+# -- a body in a stream -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_sphere_in_a_stream_has_about_the_drag_of_a_mesh_that_fits_it():
+    found = Obstacle(4, until=2.0).run(CONVERGED)
+    assert found.figures["drag"] == pytest.approx(3.66, rel=0.5)
+
+
+def test_the_drag_of_a_sphere_in_meshes_that_fit_goes_to_its_limit():
+    assert fitted_drag(0.5)["drag"] == pytest.approx(3.664, rel=0.02)
+
+
+# -- settings ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_pressure_that_jumps_alone_is_a_setting():
+    setting = setting_of("jump(penalty=20.0)", IN_SPACE)
+    options = setting.options
+    assert (setting.immersed, options.multiplier, options.fluid_tangent, options.trace, options.penalty) == (
+        "jump", "converged", "consistent", "nodes", 20.0,
+    )  # fmt: skip
+    assert setting.flow.solver is None
+
+
+def test_every_case_of_the_benchmark_names_figures_that_its_scene_documents():
+    for figures, scenes in STUDIES.values():
+        for scene in scenes.values():
+            assert all(f'"{name}"' in type(scene).run.__doc__ for name in figures)
