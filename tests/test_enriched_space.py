@@ -17,6 +17,22 @@ def enriching(n=5, comm=COMM, kinked=True):
     return EnrichingInSpace(compat.lagrange_space(mesh.create_unit_cube(comm, n, n, n), 1), kinked=kinked)
 
 
+def graded(n=7, comm=COMM):
+    """Cells ten times as high at the top as at the bottom."""
+    domain = mesh.create_unit_cube(comm, n, n, n)
+    z = domain.geometry.x[:, 2]
+    z[:] = (np.exp(2.3 * z) - 1.0) / (np.exp(2.3) - 1.0)
+    return EnrichingInSpace(compat.lagrange_space(domain, 1), kinked=True)
+
+
+def by_the_largest(e):
+    """The same with the size of the largest cell of the mesh everywhere."""
+    for name in ("_sizes", "_of_nodes", "_of_neighbours"):
+        values = getattr(e, name)
+        values[:] = COMM.allreduce(float(values.max(initial=0.0)), op=MPI.MAX)
+    return e
+
+
 def ball(radius=0.31, center=(0.51, 0.49, 0.52)):
     """A cube blown up to a sphere."""
     boxed = cube(6)
@@ -68,6 +84,38 @@ def test_small_gaps_between_free_edges_are_closed_and_wide_ones_open(gap, closed
     assert np.array_equal(found.kink, whole.kink) == closed
     assert np.array_equal(found.jump, whole.jump) == closed
     assert not (found.kink & ~whole.kink).any()
+
+
+def dome(low=-0.2, high=0.57):
+    """Bent, with free edges, and farther above in larger cells."""
+    return grid(
+        9, lambda u, v: np.column_stack([low + (high - low) * u, 1.4 * v - 0.2, 0.05 + 0.6 * u**2 + 0.2 * v * (1 - v)])
+    )
+
+
+PLACED = {
+    "ball": ball,
+    "plate": lambda: surfaces(plate(0.433, low=0.21)),
+    "dome": lambda: surfaces(dome()),
+    "gap": lambda: surfaces(dome(), dome(1.3, 0.62)),
+    "two": lambda: surfaces(dome(), plate(0.71, high=0.7, turned=True)),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("make", [enriching, graded])
+@pytest.mark.parametrize("name", PLACED)
+def test_sizes_of_cells_nearby_are_enough(name, make):
+    """The same nodes are enriched as with sides that are known in sizes of the largest cell of the mesh."""
+    e, surface = make(7), PLACED[name]()
+    few, whole = e(surface), by_the_largest(make(7))(surface)
+    for mask in ("jump", "kink"):
+        np.testing.assert_array_equal(getattr(few, mask), getattr(whole, mask))
+    np.testing.assert_array_equal(few.cut.cells, whole.cut.cells)
+    np.testing.assert_array_equal(few.zero.barycentric, whole.zero.barycentric)
+    known = (np.isfinite(found.phi).sum() for found in (few, whole))
+    few, whole = (COMM.allreduce(int(number)) for number in known)
+    assert few == whole if make is enriching else few < whole
 
 
 def test_nothing_is_divided_beyond_a_free_edge():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from coudalfish.surface.distance import Sought
 from coudalfish.surface.net import Net
@@ -126,7 +125,6 @@ def test_behind_its_edges_a_plate_goes_straight_on():
     np.testing.assert_array_equal(near.covered(), [True, False, False, False, True, False])
     np.testing.assert_array_equal(near.sheet(), [0, 0, 0, 0, 0, -1])
     np.testing.assert_array_equal(plate.near_ends(x, 0.37), [1, 4])
-    np.testing.assert_array_equal(plate.near_ends(x, 0.37, cKDTree(x)), [1, 4])
 
 
 def test_where_it_is_attached_a_surface_covers_what_is_behind():

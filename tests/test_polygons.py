@@ -84,7 +84,7 @@ def test_points_stand_for_areas_at_rest(stretch, size):
     rest = Surfaces(points * [1.0 / stretch, 1.0, 1.0], plate.net).triangles.areas
     vertices, x = box(3, 7)
     _, zero = zero_set(vertices, x, x[:, 2] - 0.43)
-    found = zero.covered_by(plate, 0.25, 0.5).quadrature()
+    found = zero.covered_by(plate, 0.5).quadrature()
     functions, areas = found.on(plate, plate.triangles.areas / rest, 0.5)
     inside = min(size, 1.0)
     np.testing.assert_allclose(found.areas.sum(), inside**2, rtol=1e-12 if size > 1.0 else 4e-3)  # corners are cut off
@@ -103,7 +103,7 @@ def test_gaps_are_not_covered_if_they_are_not_too_narrow(gap, seen):
     )
     vertices, x = box(3, 4)
     _, zero = zero_set(vertices, x, x[:, 2] - 0.43)
-    covered = zero.covered_by(surfaces(low, high), 0.5, 0.5)
+    covered = zero.covered_by(surfaces(low, high), 0.5)
     np.testing.assert_allclose(covered.sizes().sum(), 1.0 - seen, atol=1e-12)
     whole, share = zero.of_cells(zero.sizes()), covered.of_cells(covered.sizes())
     assert (share <= whole * (1.0 + 1e-12)).all()
@@ -113,6 +113,6 @@ def test_gaps_are_not_covered_if_they_are_not_too_narrow(gap, seen):
 def test_what_is_not_cut_has_no_points():
     vertices, x = box(3, 2)
     cut, zero = zero_set(vertices, x, x[:, 0] + 1.0)
-    points = zero.covered_by(surfaces(grid(2)), 0.5, 0.5).quadrature()
+    points = zero.covered_by(surfaces(grid(2)), 0.5).quadrature()
     assert len(cut.cells) == len(zero.rows) == len(points.areas) == 0
     assert points.barycentric.shape == (0, 4)

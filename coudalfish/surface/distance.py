@@ -24,12 +24,12 @@ class Sought:
 
     Attributes:
         points: their numbers.
-        reach: distance up to which; unit: length.
+        reach: distance up to which, or one for each; unit: length.
         tree: of these points; None: it is made.
     """
 
     points: IntArray
-    reach: float
+    reach: float | FloatArray
     tree: cKDTree | None = None
 
 
@@ -89,7 +89,7 @@ class Curves:
         for one in sought:
             limit[one.points] = one.reach
             tree = cKDTree(x[one.points]) if one.tree is None else one.tree
-            near = tree.sparse_distance_matrix(self._middles, one.reach + half, output_type="ndarray")
+            near = tree.sparse_distance_matrix(self._middles, np.max(one.reach) + half, output_type="ndarray")
             pairs.append((one.points[near["i"]], near["j"]))
         i, k = (np.concatenate(part) for part in zip(*pairs, strict=True))
         group, order = _grouped(i, len(x))

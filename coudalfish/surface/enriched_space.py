@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from dolfinx import fem
 
 from coudalfish.surface.cut_simplices import CutSimplices
 from coudalfish.surface.distance import Sought
@@ -23,15 +24,17 @@ from coudalfish.surface.enriched import (
 )
 from coudalfish.surface.polygons import ZeroSet
 from coudalfish.surface.surfaces import NearestOnSurfaces, Surfaces
-from tigar_x import checks
+from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
 
 DIVIDED = 1e-8
 """Share of the volume of a node's cells that each part has to have for its pressure to jump."""
 NEAR = 1.1
-"""Distance from the surface, in sizes of the largest cell, up to which sides are known: no cut cell has others."""
+"""Distance of a node from the surface, in sizes of its largest cell, up to which sides are known: no cut cell has
+others."""
 REACH = 2.5
-"""The same near its free edges, beyond which cells of nodes count that the surface may divide."""
+"""The same near its free edges, beyond which cells of nodes count that the surface may divide; in sizes of the largest
+cell of the nodes with which it has a cell in common."""
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 """Of a tetrahedron."""
 
@@ -74,6 +77,19 @@ class EnrichingInSpace(Enriching):
         kinked: whether velocities are kinked; pressures always jump.
     """
 
+    def __init__(self, space: fem.FunctionSpace, *, kinked: bool) -> None:
+        super().__init__(space, kinked=kinked)
+        ends = self.corners[:, EDGES]
+        self._sizes = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
+        self._of_nodes = self._largest_around(space, self._sizes)
+        self._of_neighbours = self._largest_around(space, self._of_nodes[self.vertices].max(axis=1))
+
+    def _largest_around(self, space: fem.FunctionSpace, of_cells: FloatArray) -> FloatArray:
+        """The largest values of the cells around every node (collective)."""
+        largest = np.zeros(len(self.x))
+        np.maximum.at(largest, self.vertices, of_cells[:, None])
+        return compat.maximise(space, largest)
+
     def __call__(self, surfaces: Surfaces, v: FloatArray | None = None) -> EnrichmentInSpace:  # type: ignore[override]
         """By surfaces where they are (collective).
 
@@ -103,9 +119,9 @@ class EnrichingInSpace(Enriching):
 
     def _signed(self, surfaces: Surfaces) -> tuple[FloatArray, NearestOnSurfaces]:
         """Signed distances of the nodes, by normals of which those of different sheets agree (collective)."""
-        far, tree = REACH * self._largest, self._tree
-        at_ends = Sought(surfaces.near_ends(self.x, far, tree), far)
-        near = surfaces.nearest(self.x, Sought(self._every, NEAR * self._largest, tree), at_ends)
+        far = REACH * self._of_neighbours
+        ends = surfaces.near_ends(self.x, far)
+        near = surfaces.nearest(self.x, Sought(self._every, NEAR * self._of_nodes), Sought(ends, far[ends]))
         phi, nearest = self._on_line(near.signed_distance()), near.sheet()
         number = int(surfaces.net.sheet.max(initial=-1)) + 1
         if number < 2:
@@ -115,7 +131,7 @@ class EnrichingInSpace(Enriching):
         between = (a != b) & (a >= 0) & (b >= 0)
         edges, a, b = edges[between], a[between], b[between]
         negative = phi[edges] < 0.0
-        apart = surfaces.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far)
+        apart = surfaces.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far[edges].max(axis=1))
         votes = np.zeros((number, number))
         np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, 1.0, -1.0))
         self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
@@ -127,18 +143,19 @@ class EnrichingInSpace(Enriching):
 
         In other cells the sign changes as they are half way between two surfaces.
         """
-        corners, near_by, far = self.corners[cut.cells], 0.5 * self._largest, REACH * self._largest
-        zero = ZeroSet.of(cut, corners)
-        middles = zero.middles()
-        at_ends = Sought(surfaces.near_ends(middles, 2.0 * self._largest), far)
-        near = surfaces.nearest(middles, Sought(np.arange(len(middles)), near_by), at_ends)
+        corners, near_by = self.corners[cut.cells], 0.5 * self._sizes[cut.cells]
+        zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
+        middles, around = zero.middles(), far[zero.rows]
+        at_ends = surfaces.near_ends(middles, 2.0 * around)
+        everywhere = Sought(np.arange(len(middles)), near_by[zero.rows])
+        near = surfaces.nearest(middles, everywhere, Sought(at_ends, REACH * around[at_ends]))
         off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
         real = zero.of_cells(np.where(off <= OFF_LINE * largest[zero.rows], 0.0, 1.0)) == 0.0
         rest = np.flatnonzero(~real)
         ends, negative = corners[rest], cut.values[rest] < 0.0
         for a, b in EDGES:
-            crossed = surfaces.crossed(ends[:, a], ends[:, b], self._largest)
+            crossed = surfaces.crossed(ends[:, a], ends[:, b], self._sizes[cut.cells[rest]])
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
         kept = real[zero.rows]
-        covered = zero.only(kept).covered_by(surfaces, self._largest, near_by, near.covered()[kept])
+        covered = zero.only(kept).covered_by(surfaces, near_by, near.covered()[kept])
         return real, zero, covered

@@ -26,7 +26,7 @@ class Covering(Protocol):
     def covered(self) -> Any:
         """Whether they are not beyond a free edge, shape (m,)."""
 
-    def margin(self, reach: float) -> FloatArray:
+    def margin(self, reach: FloatArray) -> FloatArray:
         """Distance to the next free edge along the surface, negative beyond, at most a reach, shape (m,)."""
 
     def functions(self) -> sp.csr_matrix:
@@ -42,7 +42,7 @@ class Covers(Protocol):
     def nearest(self, x: FloatArray, *sought: Sought) -> Covering:
         """Nearest places to points."""
 
-    def from_ends(self, x: FloatArray, reach: float) -> FloatArray:
+    def from_ends(self, x: FloatArray, reach: FloatArray) -> FloatArray:
         """Distances of points from free edges, infinite where they are farther than a reach."""
 
 
@@ -111,28 +111,30 @@ class ZeroSet:
         """Of the simplices, shape (n, d)."""
         return self.places(self.barycentric.mean(axis=1))
 
-    def covered_by(self, surface: Covers, size: float, reach: float, covered: Any = None) -> "ZeroSet":
+    def covered_by(self, surface: Covers, reach: FloatArray | float, covered: Any = None) -> "ZeroSet":
         """What of it a surface covers.
 
         Args:
             surface: the surface.
-            size: length of the longest edge of a cell.
-            reach: distance of the surface beyond which it covers nothing; unit: length.
+            reach: distance of the surface beyond which it covers nothing, one for each cut cell or for all; unit:
+                length.
             covered: whether the middles of the simplices are, if that is known already, shape (n,).
         """
-        middles = self.middles()
+        middles, reach = self.middles(), np.broadcast_to(reach, len(self.cut.cells))
         if covered is None:
-            covered = surface.nearest(middles, Sought(np.arange(len(middles)), reach)).covered()
+            covered = surface.nearest(middles, Sought(np.arange(len(middles)), reach[self.rows])).covered()
         radius = np.sqrt(((self.places(self.barycentric) - middles[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
-        at_end = surface.from_ends(middles, size) <= radius
-        return self.only(covered & ~at_end).joined(self.only(at_end)._clipped(surface, size, reach))
+        at_end = surface.from_ends(middles, radius) <= radius
+        clipped = self.only(at_end)._clipped(surface, reach[self.rows[at_end]], 2.0 * radius[at_end])
+        return self.only(covered & ~at_end).joined(clipped)
 
-    def _clipped(self, surface: Covers, size: float, reach: float) -> "ZeroSet":
+    def _clipped(self, surface: Covers, reach: FloatArray, size: FloatArray) -> "ZeroSet":
         """The same, divided into small simplices of which those are cut that lie on a free edge."""
         d = self.barycentric.shape[1]
         lattice, table = _divided(d - 1, FINER)
         points = lattice @ self.barycentric
         x = self.places(points).reshape(-1, d)
+        reach, size = np.repeat(reach, len(lattice)), np.repeat(size, len(lattice))
         margin = surface.nearest(x, Sought(np.arange(len(x)), reach)).margin(size).reshape(points.shape[:2])
         rows = np.repeat(self.rows, len(table))
         margin, simplices = margin[:, table].reshape(-1, d), points[:, table].reshape(-1, d, d + 1)
@@ -184,13 +186,13 @@ class ZeroPoints:
     def __post_init__(self) -> None:
         checks.freeze(self)
 
-    def on(self, surface: Covers, stretch: FloatArray, reach: float) -> tuple[sp.csr_matrix, FloatArray]:
+    def on(self, surface: Covers, stretch: FloatArray, reach: FloatArray | float) -> tuple[sp.csr_matrix, FloatArray]:
         """What of a surface the points stand for.
 
         Args:
             surface: the surface.
             stretch: areas of its triangles relative to those at rest, shape (triangles,).
-            reach: distance beyond which there is no surface; unit: length.
+            reach: distance beyond which there is no surface, or one for each point; unit: length.
 
         Returns:
             Hat functions of the surface's points at the nearest places, shape (points, surface's points), and areas at

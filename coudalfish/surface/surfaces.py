@@ -113,33 +113,38 @@ class Surfaces:
         keys = point * (numbers.max() + 1) + numbers[near.triangle[order], near.kind[order]]
         return order[np.sort(np.unique(keys, return_index=True)[1])]
 
-    def crossed(self, start: FloatArray, end: FloatArray, reach: float) -> Any:
+    def crossed(self, start: FloatArray, end: FloatArray, reach: float | FloatArray) -> Any:
         """Mask of the straight lines that cross a surface or its continuation, shape (m,).
 
         Args:
             start: where they begin, shape (m, 3); unit: length.
             end: where they end.
-            reach: how far surfaces are continued; unit: length.
+            reach: how far surfaces are continued, or how far for each line; unit: length.
         """
         result = np.zeros(len(start), dtype=bool)
         if not len(start) or not len(self.net.triangles):
             return result
-        middle = 0.5 * (start + end)
-        half = 0.5 * np.linalg.norm(end - start, axis=1).max()
-        for triangles in (self.triangles, self._continuation(reach)):
-            if len(triangles.x):
-                centers = triangles.x.mean(axis=1)
-                radius = np.linalg.norm(triangles.x - centers[:, None], axis=2).max()
-                near = cKDTree(middle).sparse_distance_matrix(cKDTree(centers), half + radius, output_type="ndarray")
-                line, k = near["i"], near["j"]
-                result[line[triangles.crossed(start[line], end[line], k)]] = True
-        return result
-
-    def _continuation(self, reach: float) -> Triangles:
-        """Beyond edges at which surfaces end, in the planes of their triangles."""
+        tree = cKDTree(0.5 * (start + end))
+        half = 0.5 * float(np.linalg.norm(end - start, axis=1).max())
+        line, k = _near_middles(tree, self.triangles, half)
+        result[line[self.triangles.crossed(start[line], end[line], k)]] = True
         a, b, away = self._at_ends(self.net.ends)
-        c, d = b + reach * away, a + reach * away
-        return Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
+        if not len(a):
+            return result
+        reach = np.broadcast_to(reach, len(start))
+        c, d = b + reach.max() * away, a + reach.max() * away
+        beyond = Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
+        line, k = _near_middles(tree, beyond, half)
+        through = beyond.crossed(start[line], end[line], k)
+        line, k = line[through], k[through]
+        from_edge, height = (
+            [np.einsum("li,li->l", x[line] - a[k % len(a)], way) for x in (start, end)]
+            for way in (away[k % len(a)], beyond.normals[k])
+        )
+        rise = height[0] - height[1]
+        t = np.divide(height[0], rise, out=np.zeros_like(rise), where=rise != 0.0)
+        result[line[(1.0 - t) * from_edge[0] + t * from_edge[1] <= reach[line]]] = True
+        return result
 
     def _at_ends(self, edges: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Both ends of some edges at which surfaces end, and the directions away from these, shape (edges, 3)."""
@@ -149,36 +154,46 @@ class Surfaces:
         away = np.cross(b - a, self.triangles.normals[triangle])
         return a, b, away / np.linalg.norm(away, axis=1)[:, None]
 
-    def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> IntArray:
+    def near_ends(self, x: FloatArray, reach: float | FloatArray) -> IntArray:
         """Those of some points that are not farther than a distance from an edge at which a surface ends, ascending.
 
         Edges at which a surface is attached to a wall do not count.
 
         Args:
             x: points, shape (m, 3); unit: length.
-            reach: the distance; unit: length.
-            tree: of the points; None: it is made.
+            reach: the distance, or one for each point; unit: length.
         """
-        return np.flatnonzero(self.from_ends(x, reach, tree) <= reach)
+        return np.flatnonzero(self.from_ends(x, reach) <= reach)
 
-    def from_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> FloatArray:
+    def from_ends(self, x: FloatArray, reach: float | FloatArray) -> FloatArray:
         """Distances of points from these edges, infinite where they are farther; arguments as in :meth:`near_ends`."""
-        a, b, _ = self._at_ends(self.net.free)
-        result = np.full(len(x), np.inf)
+        a, b, middles = self._free
+        result, reach = np.full(len(x), np.inf), np.broadcast_to(reach, len(x))
         if not len(a) or not len(x):
             return result
         arms = b - a
         lengths = np.einsum("ei,ei->e", arms, arms)
         half = 0.5 * float(np.sqrt(lengths.max()))
-        tree = cKDTree(x) if tree is None else tree
-        near = cKDTree(0.5 * (a + b)).sparse_distance_matrix(tree, reach + half, output_type="ndarray")
-        edge, point = near["i"], near["j"]
+        bound, _ = middles.query(x, distance_upper_bound=float(reach.max()) + half)
+        points = np.flatnonzero(bound <= reach + half)  # no edge is nearer than its middle less half of its length
+        if not len(points):
+            return result
+        within = float(bound[points].max()) + half
+        near = middles.sparse_distance_matrix(cKDTree(x[points]), within, output_type="ndarray")
+        near = near[near["v"] <= bound[points[near["j"]]] + half]
+        edge, point = near["i"], points[near["j"]]
         off = x[point] - a[edge]
         t = np.clip(np.einsum("pi,pi->p", off, arms[edge]) / lengths[edge], 0.0, 1.0)
         off -= t[:, None] * arms[edge]
         np.minimum.at(result, point, np.sqrt(np.einsum("pi,pi->p", off, off)))
         result[result > reach] = np.inf
         return result
+
+    @cached_property
+    def _free(self) -> tuple[FloatArray, FloatArray, cKDTree]:
+        """Both ends of the edges at which surfaces end freely, and the tree of the middles of these."""
+        a, b, _ = self._at_ends(self.net.free)
+        return a, b, cKDTree(0.5 * (a + b))
 
     def attached_to(self, walls: "Surfaces", reach: float) -> Any:
         """Mask of the points on the boundary of a fluid or beyond it, shape (points,).
@@ -190,6 +205,14 @@ class Surfaces:
         size = float(np.linalg.norm(np.ptp(np.concatenate([self.x, walls.x]), axis=0)))
         near = walls.nearest(self.x, Sought(np.arange(len(self.x)), size))
         return near.signed_distance() <= reach  # negative beyond
+
+
+def _near_middles(tree: cKDTree, triangles: Triangles, reach: float) -> tuple[IntArray, IntArray]:
+    """Pairs of points and of triangles that may be nearer to them than a distance."""
+    middles = triangles.x.mean(axis=1)
+    radius = float(np.linalg.norm(triangles.x - middles[:, None], axis=2).max())
+    near = tree.sparse_distance_matrix(cKDTree(middles), reach + radius, output_type="ndarray")
+    return near["i"], near["j"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,11 +281,11 @@ class NearestOnSurfaces:
         k = self._first
         return self._spread(~self._on(self.surfaces.net.free)[k] | (self.distance[k] == 0.0), False)
 
-    def margin(self, reach: float) -> FloatArray:
+    def margin(self, reach: FloatArray) -> FloatArray:
         """Distance to the next free edge along the surface, negative beyond it.
 
         Args:
-            reach: the largest margin that is of interest; unit: length.
+            reach: the largest margin that is of interest, shape (m,); unit: length.
 
         Returns:
             Shape (m,), no more than the reach, and minus that where a point is farther from the surface.
@@ -272,7 +295,8 @@ class NearestOnSurfaces:
         along = self.gap[k] - np.einsum("pi,pi->p", self.gap[k], normal)[:, None] * normal
         inner = np.column_stack([1.0 - self.inner[k].sum(axis=1), self.inner[k]])
         feet = np.einsum("pc,pci->pi", inner, surfaces.triangles.x[self.triangle[k]])
-        margin = np.minimum(surfaces.from_ends(feet, reach), reach)
+        there = reach[self.point[k]]
+        margin = np.minimum(surfaces.from_ends(feet, there), there)
         beyond = -np.sqrt(np.einsum("pi,pi->p", along, along))
         return self._spread(np.where(self._on(surfaces.net.free)[k], beyond, margin), -reach)
 

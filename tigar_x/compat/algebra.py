@@ -81,6 +81,24 @@ def accumulate(function: fem.Function) -> None:
     function.x.scatter_forward()
 
 
+def maximise(space: fem.FunctionSpace, values: FloatArray) -> FloatArray:
+    """The largest values that any rank has at the nodes of a scalar space (collective).
+
+    Args:
+        space: the space.
+        values: at this rank's nodes, ghosts as well, shape (nodes,).
+    """
+    vector = create_vector(space)
+    with vector.localForm() as local:
+        local.array[:] = values
+    vector.ghostUpdate(PETSc.InsertMode.MAX, PETSc.ScatterMode.REVERSE)
+    vector.ghostUpdate(PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+    with vector.localForm() as local:
+        result = np.array(local.array, dtype=np.float64)
+    vector.destroy()
+    return result
+
+
 def create_vector(space: fem.FunctionSpace) -> PETSc.Vec:
     """Zero vector with ghosts, in the layout of a space."""
     index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
