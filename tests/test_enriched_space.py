@@ -108,7 +108,8 @@ PLACED = {
 def test_sizes_of_cells_nearby_are_enough(name, make):
     """The same nodes are enriched as with sides that are known in sizes of the largest cell of the mesh."""
     e, surface = make(7), PLACED[name]()
-    few, whole = e(surface), by_the_largest(make(7))(surface)
+    few = e(surface)
+    whole = by_the_largest(e)(surface)
     for mask in ("jump", "kink"):
         np.testing.assert_array_equal(getattr(few, mask), getattr(whole, mask))
     np.testing.assert_array_equal(few.cut.cells, whole.cut.cells)
