@@ -37,7 +37,7 @@ def read_vtkhdf(path):
 
 
 def read_vtkhdf_meshes(path):
-    """Time, points, triangles and fields of every step of a file with a mesh for each, as the format's offsets say."""
+    """Time, points, simplices and fields of every step of a file with a mesh for each, as the format's offsets say."""
     import h5py
 
     found = []
@@ -54,11 +54,13 @@ def read_vtkhdf_meshes(path):
             of_cells, of_ids = (int(steps[f"{name}Offsets"][i][0]) for name in ("Cell", "ConnectivityId"))
             x = root["Points"][first : first + points]
             offsets = root["Offsets"][of_cells + part : of_cells + part + cells + 1]  # a part has one more than cells
-            assert (root["Types"][of_cells : of_cells + cells] == 5).all()
-            assert (offsets == 3 * np.arange(cells + 1)).all()
-            triangles = root["Connectivity"][of_ids : of_ids + ids].reshape(-1, 3)
+            kinds = root["Types"][of_cells : of_cells + cells]
+            vertices = {5: 3, 10: 4}[int(kinds[0])]  # triangles, tetrahedra
+            assert (kinds == kinds[0]).all()
+            assert (offsets == vertices * np.arange(cells + 1)).all()
+            simplices = root["Connectivity"][of_ids : of_ids + ids].reshape(-1, vertices)
             begins = {name: int(steps["PointDataOffsets"][name][i]) for name in root["PointData"]}
             fields = {name: root["PointData"][name][b : b + points] for name, b in begins.items()}
-            found.append((float(t), x, triangles, fields))
+            found.append((float(t), x, simplices, fields))
         assert len(root["Points"]) == sum(len(x) for _, x, _, _ in found)
     return found

@@ -7,6 +7,7 @@ import pytest
 
 from coudalfish.surface import cut_cells
 from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights, rule
+from varmint.flow.sides import DEGREE
 
 RNG = np.random.default_rng(7)
 VALUES = {
@@ -91,3 +92,29 @@ def test_what_is_unknown_is_not_cut():
     cut = CutSimplices.of(np.array([[0, 1, 2, 1], [0, 1, 2, 3], [3, 1, 2, 4]]), phi)
     np.testing.assert_array_equal(cut.cells, [1])
     np.testing.assert_array_equal(cut.only(np.array([False])).cells, [])
+
+
+@pytest.mark.parametrize("kind", DEGREE)
+@pytest.mark.parametrize("d", [2, 3])
+def test_masses_of_both_sides_are_positive_however_cells_are_cut(d, kind):
+    """Of linear velocities, with kinks as well, by weights of the degree that flows take; with one less they are not,
+    which would make small steps diverge: the degree is that of a product of two fields in space as in the plane."""
+    rng = np.random.default_rng(d)
+    signs = np.array([s for s in product((-1, 1), repeat=d + 1) if len(set(s)) == 2])
+    values = np.tile(signs, (20, 1)) * 10.0 ** rng.uniform(-4.0, 0.0, (20 * len(signs), d + 1))
+    cut = CutSimplices(np.arange(len(values)), values)
+    least = []
+    for degree in (DEGREE[kind], DEGREE[kind] - 1):
+        x, w = rule(d, 2 * DEGREE[kind])
+        negative, N = SidedWeights(degree, x)(cut), np.column_stack([1.0 - x.sum(axis=1), x])
+        found = []
+        for s, weight in ((-1.0, negative), (1.0, 1.0 - negative)):
+            fields = np.broadcast_to(N, (len(values), *N.shape))
+            if kind != "jump":
+                psi = (np.abs(values) - s * values) @ N.T / np.abs(values).max(axis=1)[:, None]
+                fields = np.concatenate([fields, psi[..., None] * fields], axis=2)
+            mass, whole = (np.einsum("ng,ngi,ngj->nij", of, fields, fields) for of in (w * weight, w + 0.0 * weight))
+            found.append(np.linalg.eigvalsh(mass)[:, 0] / np.trace(whole, axis1=1, axis2=2))
+        least.append(np.min(found))
+    assert least[0] > -1e-14
+    assert least[1] < -1e-3

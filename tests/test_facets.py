@@ -11,6 +11,7 @@ from coudalfish.surface.facets import FacetWeights, walls_of
 from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 from tigar_x.fem.simplices import Division
+from varmint.flow.sides import DEGREE, WALLS
 
 SELF, K = MPI.COMM_SELF, 2
 
@@ -88,6 +89,35 @@ def test_where_three_facets_meet_one_integral_is_an_approximation():
             off.append((w * here) @ monomials(x) - of_negative_part(np.delete(phi[vertices[cell]], side)))
     assert len(off) >= 3
     assert np.abs(off).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", DEGREE)
+def test_penalties_of_both_sides_are_positive_on_all_walls_of_a_cell(kind):
+    """One, two and three facets of a tetrahedron, and random planes; with kinks as well."""
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.1, 1.1, 0.0], [0.2, 0.0, 0.9], [0.9, 0.8, 0.9]])
+    corner = compat.create_mesh(SELF, "tetrahedron", [[0, 1, 2, 3], [1, 2, 3, 4]], x)
+    k, rng, least = DEGREE[kind], np.random.default_rng(4), {1: 1.0, 2: 1.0, 3: 1.0}
+    at, w = rule(2, 2 * k + WALLS[3])
+    for domain in (domain_of(3), corner):
+        space = compat.lagrange_space(domain, k + WALLS[3], discontinuous=True)
+        weights, walls = FacetWeights(space), walls_of(domain)
+        for _ in range(6):
+            normal = rng.standard_normal(3)
+            _, away = level(domain, *normal, 0.0)
+            vertices, phi = level(domain, *normal, rng.uniform(away.min(), away.max()))
+            for cell, nodal in zip(*weights(CutSimplices.of(vertices, phi)), strict=True):
+                sides, values = np.flatnonzero(walls[cell] >> np.arange(4) & 1), phi[vertices[cell]]
+                masses = np.zeros((3, *[4 if kind == "jump" else 8] * 2))
+                for side in sides:
+                    N = on_facet(side, at)
+                    negative = compat.tabulate(space, N[:, 1:]) @ nodal
+                    for i, (s, weight) in enumerate(((-1.0, negative), (1.0, 1.0 - negative), (1.0, 1.0))):
+                        psi = N @ (np.abs(values) - s * values) / np.abs(values).max()
+                        fields = N if kind == "jump" else np.hstack([N, psi[:, None] * N])
+                        masses[i] += fields.T @ ((w * weight)[:, None] * fields)
+                found = np.linalg.eigvalsh(masses[:2]).min() / np.trace(masses[2])
+                least[len(sides)] = min(least[len(sides)], found)
+    assert -1e-14 < min(least.values()) <= max(least.values()) < 1.0
 
 
 def test_on_one_facet_of_a_triangle_weights_are_what_they_were():

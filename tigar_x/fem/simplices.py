@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from dolfinx import fem
@@ -156,6 +156,24 @@ class SidedSimplices:
         V = function.function_space
         nodal = function.x.array.reshape(-1, V.dofmap.index_map_bs)[compat.cell_dofs(V)[self.cells]]
         return np.asarray(self.barycentric @ nodal)
+
+
+class Sided(Protocol):
+    """A linear function with more values than those at its nodes, such as varmint's ``Flow(...).sides``.
+
+    Attributes:
+        function: the function.
+    """
+
+    @property
+    def function(self) -> fem.Function:
+        """The function."""
+
+    def pieces(self) -> SidedSimplices:
+        """Pieces of the cells of this rank that are divided."""
+
+    def of_pieces(self, pieces: SidedSimplices) -> FloatArray:
+        """The function at the vertices of pieces, on their sides, shape (pieces, d + 1, components)."""
 
 
 @cache

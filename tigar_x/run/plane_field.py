@@ -12,7 +12,7 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.fem.pieces import Sided
+from tigar_x.fem.simplices import Sided
 from tigar_x.ranks import gathered
 from tigar_x.run.figure import Panel, axis_label
 from tigar_x.run.pictures import Colours
@@ -25,7 +25,7 @@ class PlaneField:
         function: in a scalar or blocked Lagrange space; in space the nodes with the smallest third coordinate count.
         displacement: of the mesh; None: none.
         sides: what makes the function differ on both sides of a line through cells, such as ``flow.sides``; None:
-            nothing. Further nodes are then on both sides of that line, and triangles end there.
+            nothing. Further nodes are then on both sides of that line, and triangles end there; in the plane only.
 
     Attributes:
         x: positions, shape (nodes, 2).
@@ -42,7 +42,7 @@ class PlaneField:
         V, found = function.function_space, nodal_values(function, displacement)
         self.x, self.values = np.zeros((0, 2)), np.zeros((0, V.dofmap.index_map_bs))
         self.triangles = np.zeros((0, 3), dtype=int)
-        pieces = None if sides is None else _pieces(function, sides)
+        pieces = None if sides is None or V.mesh.geometry.dim == 3 else _pieces(function, sides)
         if found is None:
             return
         nodes, self.values, cells = found

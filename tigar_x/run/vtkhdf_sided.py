@@ -1,7 +1,7 @@
-"""Fields that differ on both sides of a line through cells, over time as VTKHDF.
+"""Fields that differ on both sides of a line or surface through cells, over time as VTKHDF.
 
-Every time has a mesh of its own: triangles that are divided are replaced by pieces of either side, whose points belong
-to that side alone.
+Every time has a mesh of its own: triangles or tetrahedra that are divided are replaced by pieces of either side, whose
+points belong to that side alone.
 """
 
 from pathlib import Path
@@ -12,18 +12,18 @@ from dolfinx import mesh
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem.pieces import Sided, SidedPieces
+from tigar_x.fem.simplices import Sided, SidedSimplices
 from tigar_x.ranks import gathered, on_root
 from tigar_x.run.vertex_values import Components
 from tigar_x.run.vtkhdf import CELLS, SIZES, VTKHDFSeries
 
 
 class SidedVTKHDFSeries(VTKHDFSeries):
-    """Vertex values of finite element functions, and values on both sides of what divides triangles (collective).
+    """Vertex values of finite element functions, and values on both sides of what divides cells (collective).
 
     Args:
         path: see :class:`tigar_x.run.vtkhdf.VTKHDFSeries`.
-        domain: mesh of triangles.
+        domain: mesh of triangles or tetrahedra.
         sides: what makes one of the functions differ on both sides.
         options: see there; functions that are not that of the sides are the same on both.
     """
@@ -54,9 +54,10 @@ class SidedVTKHDFSeries(VTKHDFSeries):
                 arrays[name] = np.concatenate([arrays[name], more])
         on_root(self._comm, lambda: self._append(float(t), arrays, grid))
 
-    def _divided(self, pieces: SidedPieces) -> dict[str, Any]:
+    def _divided(self, pieces: SidedSimplices) -> dict[str, Any]:
         """Arrays of the mesh with pieces, on rank 0; nothing elsewhere (collective)."""
         space, owned = self._space, compat.owned_cells(self._domain)
+        kind, order = CELLS[compat.cell_name(self._domain)]
         whole = np.ones(owned, dtype=bool)
         whole[pieces.cells] = False
         dofs = compat.cell_dofs(space)
@@ -67,12 +68,12 @@ class SidedVTKHDFSeries(VTKHDFSeries):
         if points is None:
             return {}
         connectivity = np.concatenate([connectivity, len(points) + np.arange(len(more))]).astype(np.int64)
-        cells = len(connectivity) // 3
+        cells = len(connectivity) // len(order)
         return {
             "Points": np.concatenate([points, more]),
             "Connectivity": connectivity,
-            "Offsets": 3 * np.arange(cells + 1, dtype=np.int64),
-            "Types": np.full(cells, CELLS["triangle"][0], dtype=np.uint8),
+            "Offsets": len(order) * np.arange(cells + 1, dtype=np.int64),
+            "Types": np.full(cells, kind, dtype=np.uint8),
         }
 
     def _take_over(self, group: Any, kept: int) -> None:

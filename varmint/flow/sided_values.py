@@ -9,14 +9,14 @@ from scipy.spatial import cKDTree
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.divided import Doubled
-from tigar_x.fem.pieces import SidedPieces
+from tigar_x.fem.simplices import SidedSimplices
 
 
 class SidedValues:
     """Velocity and pressure on one side or the other; in cells that are not divided both are the same.
 
     Args:
-        phi: linear function of which the surface is the zero line.
+        phi: linear function that is zero on the surface.
         length: in which kinks measure phi.
         doubled: what is divided.
         function: velocity and pressure at the end of the step.
@@ -115,7 +115,7 @@ class SidedValues:
         return np.asarray(smooth + np.einsum("ni,nk,nkj->nij", kink, bend, slopes))
 
     def mean_gradient_at(self, cells: IntArray, barycentric: FloatArray, s: float) -> FloatArray:
-        """Gradient of the velocity from means around nodes over what lies on a side, by area (collective).
+        """Gradient of the velocity from means around nodes over what lies on a side, by size (collective).
 
         A kink is not well determined where a cell has little on a side; in the mean that counts little.
 
@@ -134,24 +134,25 @@ class SidedValues:
         of = np.concatenate([whole[on_side], pieces.cells[mine]])
         at = np.concatenate([middle[on_side], pieces.barycentric[mine].mean(axis=1)])
         share = np.concatenate([np.ones(on_side.sum()), np.abs(np.linalg.det(pieces.barycentric[mine]))])
-        area = share / np.abs(np.linalg.det(self._slopes(of)[:, 1:]))
+        size = share / np.abs(np.linalg.det(self._slopes(of)[:, 1:]))
         grad = self.gradient_at(of, at, np.full(len(of), s)).reshape(-1, d * d)
         sums, nodes = fem.Function(self._phi.function_space), self._of_phi
         totals = []
-        for values in (area, *(area * component for component in grad.T)):
+        for values in (size, *(size * component for component in grad.T)):
             sums.x.array[:] = np.bincount(nodes[of].ravel(), np.repeat(values, d + 1), len(sums.x.array))
             compat.accumulate(sums)
             totals.append(sums.x.array.copy())
         means = np.column_stack(totals[1:]) / np.where(totals[0] > 0.0, totals[0], 1.0)[:, None]
         return np.asarray(np.einsum("nk,nki->ni", barycentric, means[nodes[cells]]).reshape(-1, d, d))
 
-    def pieces(self) -> SidedPieces:
+    def pieces(self) -> SidedSimplices:
         """Pieces of the cells of this rank that are divided."""
         owned = compat.owned_cells(self.function.function_space.mesh)
         cells = np.flatnonzero(self._doubled.cells[:owned])
-        return SidedPieces.of(cells, self._phi.x.array[self._of_phi[cells]])
+        return SidedSimplices.of(cells, self._phi.x.array[self._of_phi[cells]])
 
-    def of_pieces(self, pieces: SidedPieces) -> FloatArray:
-        """Velocity and pressure at the vertices of pieces, on their sides, shape (pieces, 3, d + 1)."""
-        cells, s = np.repeat(pieces.cells, 3), np.repeat(pieces.side, 3)
-        return self.at(cells, pieces.barycentric.reshape(-1, 3), s).reshape(-1, 3, self._d + 1)
+    def of_pieces(self, pieces: SidedSimplices) -> FloatArray:
+        """Velocity and pressure at the vertices of pieces, on their sides, shape (pieces, d + 1, d + 1)."""
+        size = self._d + 1
+        cells, s = np.repeat(pieces.cells, size), np.repeat(pieces.side, size)
+        return self.at(cells, pieces.barycentric.reshape(-1, size), s).reshape(-1, size, size)

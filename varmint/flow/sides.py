@@ -30,6 +30,9 @@ DEGREE = {"jump": 2, "jump and kink": 4}
 product of two kinks, whose mass and penalty at walls are not positive otherwise, so that small steps diverge, and walls
 at which a surface ends."""
 KINDS = tuple(DEGREE)
+WALLS = {2: 0, 3: 1}
+"""By how much the degree of the weights on walls is higher, for each dimension of space. In the plane they are exact on
+one side of a cell; with one degree more they are exact on two facets at once."""
 
 
 class FlowSides(SidedValues):
@@ -43,7 +46,7 @@ class FlowSides(SidedValues):
 
     Attributes:
         is_kinked: whether velocities are kinked; pressures always jump.
-        phi: linear function of which the surface is the zero line.
+        phi: linear function that is zero on the surface.
         size: linear function with its sizes at the nodes.
         length: Constant, in which kinks measure both; 1 until whoever knows the surface sets it. Unit: length.
         negative: weight of the negative side in divided cells, a polynomial in each.
@@ -58,10 +61,13 @@ class FlowSides(SidedValues):
         domain, time = state.mesh.domain, cast(SidedTime, state.time)
         self._state = state
         d, self.is_kinked = domain.geometry.dim, kind == KINDS[1]
-        self._degree, linear = 2 * DEGREE[kind], compat.lagrange_space(domain, 1)
-        weights = compat.lagrange_space(domain, DEGREE[kind], discontinuous=True)
+        degree, more, linear = DEGREE[kind], WALLS[d], compat.lagrange_space(domain, 1)
+        self._degree, self._degree_on_walls = 2 * degree, 2 * degree + more
+        walls = weights = compat.lagrange_space(domain, degree, discontinuous=True)
+        if more:
+            walls = compat.lagrange_space(domain, degree + more, discontinuous=True)
         self.phi, self.size = fem.Function(linear, name="phi"), fem.Function(linear, name="phi_size")
-        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(weights, name="wall_negative")
+        self.negative, self.wall = fem.Function(weights, name="negative"), fem.Function(walls, name="wall_negative")
         self.length = compat.Constant(domain, 1.0)
         of_vectors = compat.lagrange_space(domain, 1, d)
         names = ("phi_velocity", "phi_velocity_signed") if self.is_kinked else ()
@@ -110,9 +116,9 @@ class FlowSides(SidedValues):
                 raise ValueError(
                     f"form has an integral of type {kind}: integrals over cells or the boundary are required"
                 )
-            weight = self.negative if kind == "cell" else self.wall
+            weight, least = (self.negative, self._degree) if kind == "cell" else (self.wall, self._degree_on_walls)
             sides, finer = self._sides(weight), dict(integral.metadata())
-            finer["quadrature_degree"] = max(finer.get("quadrature_degree", 0), self._degree)
+            finer["quadrature_degree"] = max(finer.get("quadrature_degree", 0), least)
             for s in SIGNS:
                 v, p = sides.fields(self._parts(self._both), s)
                 side = ufl.replace(integral.integrand(), {w: ufl.as_vector([*v, p])})
@@ -188,7 +194,7 @@ class FlowSides(SidedValues):
         for condition in conditions:
             total = ufl.Form([])
             for (v, p), (w, q), s in of_sides:
-                term = condition.term(replace(state.fields, v=v, p=p, w=w, q=q, degree=self._degree))
+                term = condition.term(replace(state.fields, v=v, p=p, w=w, q=q, degree=self._degree_on_walls))
                 if term is not None:
                     total += weighted(term, sides.weight(s))
             if not total.empty():
