@@ -1,0 +1,48 @@
+"""The boundary of a fluid in space, and where surfaces are attached to it.
+
+A surface ends freely only inside the fluid. Where it ends on a wall, or beyond it, it goes on as far as sides are
+concerned, and nothing flows around that edge.
+"""
+
+import numpy as np
+from dolfinx import mesh
+
+from coudalfish.surface.facets import walls_of
+from coudalfish.surface.net import Net
+from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.surfaces import Surfaces
+from tigar_x import compat, ranks
+
+
+def boundary(domain: mesh.Mesh) -> Surfaces:
+    """That of a mesh of tetrahedra, whole on every rank, with normals that point out of the fluid (collective).
+
+    Args:
+        domain: the mesh.
+    """
+    owned = compat.owned_cells(domain)
+    cell, side = np.nonzero(walls_of(domain)[:owned, None] >> np.arange(4) & 1)
+    vertices = np.array([np.delete(np.arange(4), opposite) for opposite in range(4)])[side]
+    x = compat.cell_vertices(domain)[cell]
+    a, b, c = (np.take_along_axis(x, vertices[:, k, None, None], 1)[:, 0] for k in range(3))
+    inwards = x[np.arange(len(cell)), side] - a
+    turned = np.einsum("fi,fi->f", np.cross(b - a, c - a), inwards) > 0.0
+    vertices[turned] = vertices[turned][:, ::-1]
+    number = compat.global_nodes(domain)[0][compat.cell_nodes(domain)[:, :4]][cell]
+    found = np.take_along_axis(number, vertices, 1), np.take_along_axis(x, vertices[..., None], 1)
+    numbers, points = (np.concatenate(part) for part in zip(*domain.comm.allgather(found), strict=True))
+    _, first, cells = np.unique(numbers, return_index=True, return_inverse=True)
+    return Surfaces(points.reshape(-1, 3)[first], Net(cells.reshape(-1, 3), np.arange(len(first))))
+
+
+def net_in(domain: mesh.Mesh, sheets: Sheets, reach: float) -> Net:
+    """How a shell hangs together that is attached to the boundary of a fluid where it is at rest (collective).
+
+    Args:
+        domain: the fluid's mesh.
+        sheets: how the cells of the shell hang together.
+        reach: distance from the boundary that counts as none; unit: length.
+    """
+    walls = boundary(domain)
+    free = Net.of(sheets)
+    return Net.of(sheets, ranks.agreed(domain.comm, lambda: Surfaces(sheets.X, free).attached_to(walls, reach)))
