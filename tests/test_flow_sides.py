@@ -6,7 +6,8 @@ import ufl
 from dolfinx import fem
 from flows import DT, MU, RHO, assembled, grid, randomise
 
-from coudalfish.surface.cut_cells import CutCells, SideWeights
+from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights
+from coudalfish.surface.polygons import ZeroSet
 from tigar_x import compat
 from varmint.forms.sides import Sides, sided_residual
 from varmint.forms.vms import interior_residual
@@ -14,36 +15,42 @@ from varmint.forms.vms import interior_residual
 DEGREE = 4
 LINE = np.array([0.6, 0.8]), 0.41
 """Normal of a straight line, and where it is."""
+PLANE = np.array([0.48, 0.64, 0.6]), 0.63
+"""The same of a plane."""
 
 
 class Scene:
-    """A square that a straight line divides; all cells count as divided, with weights 0 and 1 where they are not."""
+    """A square or cube that a line or plane divides; all cells count as divided, with weights 0 and 1 where they are
+    not."""
 
-    def __init__(self):
-        self.mesh = grid("triangle", 4)
-        self.V = compat.lagrange_space(self.mesh, 1, 6)
+    def __init__(self, cell="triangle"):
+        self.mesh = grid(cell, 4)
+        self.d = d = self.mesh.geometry.dim
+        self.V = compat.lagrange_space(self.mesh, 1, 2 * (d + 1))
+        self.normal, place = LINE if d == 2 else PLANE
         linear, weights = (
             compat.lagrange_space(self.mesh, 1),
             compat.lagrange_space(self.mesh, DEGREE, discontinuous=True),
         )
         self.phi, self.size, self.negative = fem.Function(linear), fem.Function(linear), fem.Function(weights)
-        x = linear.tabulate_dof_coordinates()[:, :2]
-        phi = x @ LINE[0] - LINE[1]
+        x = linear.tabulate_dof_coordinates()[:, :d]
+        phi = x @ self.normal - place
         self.phi.x.array[:], self.size.x.array[:] = phi, np.abs(phi)
         vertices = compat.cell_dofs(linear)
         c = np.repeat(
             (phi[vertices].max(axis=1) <= 0.0)[:, None].astype(float), compat.cell_dofs(weights).shape[1], axis=1
         )
-        cut = CutCells.of(vertices, phi)
-        c[cut.cells] = SideWeights(DEGREE, compat.node_points(weights))(cut)
+        self.cut = CutSimplices.of(vertices, phi)
+        c[self.cut.cells] = SidedWeights(DEGREE, compat.node_points(weights))(self.cut)
         self.negative.x.array[compat.cell_dofs(weights)] = c
         self.sides = Sides(self.phi, self.size, self.negative)
         self.u, self.rate = fem.Function(self.V), fem.Function(self.V)
         self.dx = ufl.dx(domain=self.mesh, metadata={"quadrature_degree": 2 * DEGREE})
 
-    @staticmethod
-    def parts(f):
-        return ufl.as_vector([f[0], f[1]]), f[2], ufl.as_vector([f[3], f[4]]), f[5]
+    def parts(self, f):
+        d = self.d
+        u, a = (ufl.as_vector([f[i + start] for i in range(d)]) for start in (0, d + 1))
+        return u, f[d], a, f[2 * d + 1]
 
     def residual(self, **options):
         u_t, _, a_t, _ = self.parts(self.rate)
@@ -114,6 +121,30 @@ def test_a_pressure_that_jumps_pushes_the_line_and_nothing_else():
     assert abs(through) > 1e-2
 
 
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
+def test_shear_on_one_side_and_pressures_on_both_are_balanced_by_a_force_between_them(cell):
+    """Rest below and a flow along the line or plane above it, which is in the space, and constant pressures: a force
+    between both sides balances them, on velocities and on kinks. Nodes on the boundary are left out."""
+    scene, c, along = Scene(cell), 3.0, np.array([0.8, -0.6, 0.0])
+    d, x = scene.d, scene.V.tabulate_dof_coordinates()
+    along, values = along[:d], scene.u.x.array.reshape(-1, 2 * (d + 1))
+    phi = x[:, :d] @ scene.normal - (LINE if d == 2 else PLANE)[1]
+    values[:, :d], values[:, d] = np.maximum(phi, 0.0)[:, None] * along, -2.0
+    values[:, d + 1 : -1], values[:, -1] = -0.5 * along, 2.0 * c
+    residual = scene.residual(f=None)
+    b = assembled(compat.compile_forms(residual)[0], scene.V).array.reshape(values.shape)
+    points = ZeroSet.of(scene.cut, compat.cell_vertices(scene.mesh)[scene.cut.cells]).quadrature(3)
+    nodes, force = compat.cell_dofs(scene.V)[points.cells], 2.0 * c * points.normals - MU * along
+    N = points.barycentric * points.areas[:, None]
+    psi = np.einsum("gk,gk->g", points.barycentric, np.abs(phi[nodes]))
+    expected = np.zeros_like(values)
+    np.add.at(expected[:, :d], nodes, N[..., None] * force[:, None])
+    np.add.at(expected[:, d + 1 : -1], nodes, (psi[:, None] * N)[..., None] * force[:, None])
+    inside = ((x[:, :d] > 1e-9) & (x[:, :d] < x[:, :d].max() - 1e-9)).all(axis=1)
+    np.testing.assert_allclose(b[inside], expected[inside], atol=1e-13)
+    assert np.abs(expected[inside]).max(axis=0)[[*range(d), *range(d + 1, 2 * d + 1)]].min() > 1e-4
+
+
 @pytest.mark.parametrize("s", [-1.0, 1.0])
 def test_a_field_that_bends_at_the_line_is_in_the_space(s):
     """max(phi, 0) is its own interpolant and a kink of minus one half."""
@@ -138,7 +169,7 @@ def test_a_kink_moves_with_the_line(s):
         f.x.array.reshape(-1, 2)[nodes] = sign[:, None] * v
     sides = Sides(scene.phi, scene.size, scene.negative, carried=carried)
     before = Sides(*(fem.Function(scene.phi.function_space) for _ in range(2)), scene.negative)
-    before.phi.x.array[:] = phi + step * v @ LINE[0]
+    before.phi.x.array[:] = phi + step * v @ scene.normal
     before.size.x.array[:] = np.abs(before.phi.x.array)
     assert (np.sign(before.phi.x.array) == np.sign(phi)).all()
     at_rest = ufl.as_vector([0.0, 0.0])
