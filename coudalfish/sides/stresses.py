@@ -15,7 +15,7 @@ from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
 NEAR = 2.0
-"""Distance, in sizes of the cells, up to which a divided cell tells what is on the side that a point's cell lacks."""
+"""Distance, in sizes of a divided cell, up to which it tells what is on the side that the cell of a point lacks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def _cells_of_side(
 ) -> tuple[IntArray, FloatArray]:
     """Cells that know a side of the surface at points, which lie in them or, next to a divided one, nearby."""
     sides = fsi.fluid.sides
-    near = sides.nearest_divided(x, NEAR * fsi.fluid.mesh_size)
+    near = sides.nearest_divided(x, NEAR)
     other = ~sides.is_divided(cells) & (sides.side(cells, barycentric) != s) & (near >= 0)
     cells, barycentric = np.where(other, near, cells), barycentric.copy()
     barycentric[other] = sides.barycentric(cells[other], x[other])

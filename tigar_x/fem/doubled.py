@@ -60,6 +60,7 @@ class DoubledSystem(FiniteElementSystem):
         self._nodes = len(self.x.x.array) // self._m
         self._owned_nodes, self._owned_cells = V.dofmap.index_map.size_local, compat.owned_cells(V.mesh)
         self._comm, self._number = V.mesh.comm, fem.Function(V)
+        self._beside = _pairs(self._cell_nodes[: self._owned_cells], self._nodes)
         self._free = np.ones((self._nodes, self._m))
         self._free.ravel()[self.constrained] = 0.0
         self._shape: tuple[Any, ...] | None = None
@@ -112,17 +113,12 @@ class DoubledSystem(FiniteElementSystem):
     def _matrix(self, names: IntArray, rows: int) -> PETSc.Mat:
         """Empty matrix whose local blocks have global names; -1: not an unknown."""
         m, comm = self._m, self._comm
-        # every cell of a node brings two others, and each of these may be double
-        each = np.full(self._cell_nodes.shape, self._cell_nodes.shape[1] - 1.0)
-        each += self._is_double[self._cell_nodes].sum(axis=1, keepdims=True)
         count = self._number.copy()
         counts = count.x.array.reshape(-1, m)
         counts[:] = 0.0
-        counts[:, 0] = np.bincount(
-            self._cell_nodes[: self._owned_cells].ravel(), each[: self._owned_cells].ravel(), len(counts)
-        )
+        counts[:, 0] = self._beside @ (1.0 + self._is_double)  # nodes of cells of several ranks count for each
         compat.accumulate(count)
-        widths = 2 + counts[: self._owned_nodes, 0].astype(PETSc.IntType)
+        widths = np.maximum(counts[: self._owned_nodes, 0], 2.0).astype(PETSc.IntType)
         widths = np.concatenate([widths, widths[self._doubles]]).astype(PETSc.IntType)
         A = PETSc.Mat().create(comm=comm)
         A.setSizes(((rows * m, None), (rows * m, None)))
@@ -141,16 +137,7 @@ class DoubledSystem(FiniteElementSystem):
     def _small_matrix(self, owner: Any) -> PETSc.Mat:
         """Matrix of this rank's divided cells, two blocks a node."""
         n, size = len(self._touched), 2 * self._m
-        ones = sp.csr_matrix(
-            (
-                np.ones(self._compact.size, dtype=np.int32),
-                self._compact.ravel(),
-                np.arange(0, self._compact.size + 1, self._cell_nodes.shape[1]),
-            ),
-            shape=(len(self._compact), n),
-        )
-        pattern = (ones.T @ ones).tocsr()
-        pattern.sort_indices()
+        pattern = _pairs(self._compact, n)
         counts = np.diff(pattern.indptr).astype(PETSc.IntType)
         A = PETSc.Mat().create(comm=MPI.COMM_SELF)
         A.setSizes(((n * size, None), (n * size, None)))
@@ -319,3 +306,13 @@ class DoubledSystem(FiniteElementSystem):
         for function in (self.x, self._e):
             function.x.scatter_forward()
         self._doubled.join(last=True)
+
+
+def _pairs(cells: IntArray, nodes: int) -> sp.csr_matrix:
+    """Ones where two nodes are those of one cell, a node and itself as well, shape (nodes, nodes)."""
+    starts = np.arange(0, cells.size + 1, cells.shape[1])
+    ones = sp.csr_matrix((np.ones(cells.size, dtype=np.int32), cells.ravel(), starts), shape=(len(cells), nodes))
+    pattern = (ones.T @ ones).tocsr()
+    pattern.sort_indices()
+    pattern.data[:] = 1
+    return pattern

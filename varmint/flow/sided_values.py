@@ -58,13 +58,16 @@ class SidedValues:
 
         Args:
             x: points, shape (n, d); unit: length.
-            reach: largest distance of a middle; unit: length.
+            reach: largest distance of a middle, in shortest edges of its cell.
         """
         cells = np.flatnonzero(self._doubled.cells)
         if not len(cells):
             return np.full(len(x), -1)
-        distance, nearest = cKDTree(self._corners[cells].mean(axis=1)).query(x)
-        return np.where(distance <= reach, cells[nearest], -1)
+        corners = self._corners[cells]
+        distance, nearest = cKDTree(corners.mean(axis=1)).query(x)
+        a, b = np.triu_indices(self._d + 1, 1)
+        shortest = np.linalg.norm(corners[:, a] - corners[:, b], axis=2).min(axis=1)
+        return np.where(distance <= reach * shortest[nearest], cells[nearest], -1)
 
     def _slopes(self, cells: IntArray) -> FloatArray:
         """Gradients of the barycentric coordinates, shape (n, d + 1, d)."""
