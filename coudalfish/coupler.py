@@ -104,7 +104,9 @@ class CouDALFISh(checks.Made):
         self.lam = self._initial(multiplier)
         self.locator = PointLocator(self.mesh_f)
         of_points = self.shell.sheets, self.shell.quadrature.weights
-        self._meets = meets(self.options.trace, self.fluid.velocity_space, *of_points)
+        on_polygons = self.fluid.sides is not None and self.mesh_f.geometry.dim == 3
+        kind = "nodes" if on_polygons else self.options.trace  # of the surface where it is, before the flow divides it
+        self._meets = meets(kind, self.fluid.velocity_space, *of_points)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(self.fluid, self.shell)
         self._attempts = self.options, attempts(self.options, self.fluid, self.shell)

@@ -48,10 +48,10 @@ def plate(z, low=-0.3, high=1.3, turned=False):
 def test_a_closed_surface_has_its_volume_and_every_node_is_enriched():
     e = enriching(8)
     found = e(ball())
-    owned = found.cut.cells < e._owned
+    owned = found.cut.cells < e.owned
     volumes = np.abs(np.linalg.det(e.corners[:, 1:] - e.corners[:, :1])) / 6.0
     inside = (volumes[found.cut.cells] * found.cut.negative_share)[owned].sum()
-    uncut = np.setdiff1d(np.arange(e._owned), found.cut.cells)
+    uncut = np.setdiff1d(np.arange(e.owned), found.cut.cells)
     middle = np.linalg.norm(e.corners[uncut].mean(axis=1) - [0.51, 0.49, 0.52], axis=1)
     inside = COMM.allreduce(float(volumes[uncut][middle > 0.31].sum()) + float(inside))  # normals point inwards
     assert inside == pytest.approx(1.0 - 4.0 / 3.0 * np.pi * 0.31**3, rel=0.02)

@@ -322,7 +322,7 @@ def on_a_mesh_that_moves():
     ("make", "wanted"),
     [
         (lambda: open_flow(degree=2), "degree = 2: degree 1"),
-        (lambda: open_flow(cell="quadrilateral"), "mesh: triangles in the plane"),
+        (lambda: open_flow(cell="quadrilateral"), "mesh: triangles or tetrahedra"),
         (lambda: open_flow(dt=None), "dt = None: a flow that advances in time"),
         (lambda: a_flow(immersed=True), "conditions: no Resistance"),
         (on_a_mesh_that_moves, "moving: a mesh that is fixed"),

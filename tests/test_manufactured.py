@@ -48,7 +48,7 @@ def test_the_preset_is_the_best_that_there_is(tmp_path):
     chosen = {d: DEMO.main(dim=d, level=0, out=tmp_path / str(d), viz=False)["inputs"] for d in (2, 3)}
     assert [chosen[d]["preset"] for d in (2, 3)] == ["sharp", "plain"]
     assert [chosen[d]["options"]["multiplier"] for d in (2, 3)] == ["converged", "lagged"]
-    with pytest.raises(ValueError, match="immersed = 'jump and kink', mesh: triangles in the plane is required"):
+    with pytest.raises(ValueError, match="immersed = 'jump and kink', mesh: triangles or tetrahedra is required"):
         DEMO.main(dim=3, level=0, preset="sharp", out=tmp_path / "no")
 
 

@@ -20,7 +20,7 @@ def met(surface, n=5, comm=COMM, stretch=1.0):
     space = compat.lagrange_space(mesh.create_unit_cube(comm, n, n, n), 1)
     e = EnrichingInSpace(space, kinked=False)
     found = e(surface)
-    points = found.zero.only(found.zero.cut.cells[found.zero.rows] < e._owned).quadrature()
+    points = found.zero.only(found.zero.cut.cells[found.zero.rows] < e.owned).quadrature()
     hats, areas = points.on(surface, np.full(len(surface.net.triangles), stretch), 0.5)
     whole = surface.net.functions.T @ np.bincount(
         surface.net.triangles.ravel(), np.repeat(surface.triangles.areas / 3.0, 3), surface.net.functions.shape[0]
@@ -61,12 +61,14 @@ def test_action_equals_reaction(surface):
     forces = np.random.default_rng(3).standard_normal(n) * meeting.W
     at_nodes = total(COMM, (meeting.trace.transposed @ forces).sum())
     np.testing.assert_allclose(at_nodes, forces.sum(), atol=1e-13)
-    on_fluid, on_surface = meeting.along_normals(sp.identity(n, format="csr"))
+    net, faces = surface.net, np.repeat(surface.triangles.normals[:, None], 3, axis=1)
+    forces = meeting.normal_forces(sp.identity(n, format="csr"), net.sums(faces, net.corners)[net.place])
     lam = np.random.default_rng(4).standard_normal(n)
-    fluid, shell = ((part @ lam).reshape(3, -1) for part in (on_fluid, on_surface))
-    np.testing.assert_allclose(total(COMM, fluid.sum(axis=1)), total(COMM, shell.sum(axis=1)), atol=1e-13)
+    on_surface = (forces.at_points @ lam).reshape(-1, 3)
+    on_fluid = meeting.trace.transposed @ on_surface + (forces.beside @ lam).reshape(-1, 3)
+    np.testing.assert_allclose(total(COMM, on_fluid.sum(axis=0)), on_surface.sum(axis=0), atol=1e-13)
     expected = total(COMM, (points.normals * points.areas[:, None]).sum(axis=0))
-    np.testing.assert_allclose(total(COMM, (on_fluid @ np.ones(n)).reshape(3, -1).sum(axis=1)), expected, atol=1e-13)
+    np.testing.assert_allclose((forces.at_points @ np.ones(n)).reshape(-1, 3).sum(axis=0), expected, atol=1e-13)
 
 
 @pytest.mark.mpi

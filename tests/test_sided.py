@@ -80,7 +80,7 @@ def test_errors_of_the_velocity_are_taken_side_by_side():
     [
         ({"dt": None}, "dt = None"),
         ({"degree": 2}, "degree = 2"),
-        ({"cell": "quadrilateral"}, "triangles in the plane"),
+        ({"cell": "quadrilateral"}, "triangles or tetrahedra"),
         ({"conditions": Resistance(SIDES, resistance=1.0)}, "no Resistance"),
         ({"immersed": "kink"}, "immersed"),
     ],

@@ -175,7 +175,7 @@ def test_sharp_fields_follow_the_body_fitted_tip():
 
 
 def test_sharp_fields_are_for_the_plane(tmp_path):
-    with pytest.raises(ValueError, match="immersed = 'jump and kink', mesh: triangles in the plane is required"):
+    with pytest.raises(ValueError, match="immersed = 'jump and kink', mesh: triangles or tetrahedra is required"):
         DEMO.main(preset="sharp", dim=3, out=tmp_path)
     assert not list(tmp_path.iterdir())
 

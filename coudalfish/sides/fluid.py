@@ -195,28 +195,46 @@ class FluidSubproblem:
 
     def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""
+        return self._summed(trace.B @ self._seen(trace))
+
+    def power(self, forces: sp.csr_matrix, trace: TraceMatrix) -> FloatArray:
+        """Power of forces on the trace's nodes by velocities u_alpha (collective), shape (n,).
+
+        Args:
+            forces: this rank's share, shape (nodes d, n).
+            trace: of the nodes.
+        """
+        return self._summed(forces.T @ self._seen(trace).ravel())
+
+    def _seen(self, trace: TraceMatrix) -> FloatArray:
         dofs, a = self.trace_dofs[trace.nodes], self.timeInt.x_factor
         x, x_old = self._levels()
-        local = trace.B @ (a * x[dofs] + (1.0 - a) * x_old[dofs])
+        return np.asarray(a * x[dofs] + (1.0 - a) * x_old[dofs])
+
+    def _summed(self, local: FloatArray) -> FloatArray:
         if self.comm.size == 1:
             return local
         total = np.empty_like(local)
         self.comm.Allreduce(local, total, op=MPI.SUM)
         return total
 
-    def assemble_residual(self, trace: TraceMatrix, forces: FloatArray, impedance: float) -> float:
+    def assemble_residual(
+        self, trace: TraceMatrix, forces: FloatArray, impedance: float, beside: FloatArray | float = 0.0
+    ) -> float:
         """Assemble the residual with the coupling forces.
 
         Args:
             trace: where the points are.
             forces: fluid on shell at the points, shape (points, d).
             impedance: pressure per velocity that makes continuity rows comparable with momentum rows.
+            beside: fluid on shell at the trace's nodes, beside what those do there, shape (nodes, d), this rank's
+                share.
 
         Returns:
             ``sqrt(|R_momentum|^2 + impedance^2 |R_continuity|^2)``; unit: force.
         """
         dofs = self.trace_dofs[trace.nodes]
-        nodal = np.where(self.free[trace.nodes], trace.transposed @ forces, 0.0)
+        nodal = np.where(self.free[trace.nodes], trace.transposed @ forces + beside, 0.0)
 
         def load(b: FloatArray) -> None:
             b[dofs] += nodal
@@ -235,14 +253,26 @@ class FluidSubproblem:
         """Factors of the rows of a vector of the system: one of momentum, an impedance of continuity."""
         return np.asarray(self._is_velocity + impedance * (1.0 - self._is_velocity))
 
-    def coupling_norm(self, trace: TraceMatrix, forces: FloatArray) -> float:
-        """Norm of point forces on the fluid's nodes (collective; a node of two ranks counts in parts); unit: force."""
-        nodal = trace.transposed @ forces
+    def coupling_norm(self, trace: TraceMatrix, forces: FloatArray, beside: FloatArray | float = 0.0) -> float:
+        """Norm of forces on the fluid's nodes (collective; a node of two ranks counts in parts); unit: force.
+
+        Args:
+            trace: see :meth:`assemble_residual`.
+            forces: see there.
+            beside: see there.
+        """
+        nodal = trace.transposed @ forces + beside
         return float(np.sqrt(self.comm.allreduce(float(np.sum(nodal**2)), op=MPI.SUM)))
 
-    def received(self, trace: TraceMatrix, forces: FloatArray) -> FloatArray:
-        """Sum of the point forces on the fluid (collective), shape (d,): those on nodes, as kinks vanish there."""
-        nodal = (trace.transposed @ forces)[trace.nodes < len(self.velocity_dofs)]
+    def received(self, trace: TraceMatrix, forces: FloatArray, beside: FloatArray | float = 0.0) -> FloatArray:
+        """Sum of the forces on the fluid (collective), shape (d,): those on nodes, as kinks vanish there.
+
+        Args:
+            trace: see :meth:`assemble_residual`.
+            forces: see there.
+            beside: see there.
+        """
+        nodal = (trace.transposed @ forces + beside)[trace.nodes < len(self.velocity_dofs)]
         return -np.asarray(self.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
 
     def momentum_scale(self) -> float:

@@ -9,14 +9,9 @@ import ufl
 from dolfinx import fem
 
 from coudalfish.sides.fluid import FluidSubproblem
-from coudalfish.surface.cut_cells import SideWeights
-from coudalfish.surface.distance import Curves
-from coudalfish.surface.enriched import Enriching, Enrichment
-from coudalfish.surface.kinks import KinkedMeeting, onto_zero_line
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix
-from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.divided import Doubled
@@ -76,6 +71,65 @@ class FluidSides(Protocol):
         """
 
 
+class Divided(Protocol):
+    """What a surface does to a mesh, see :class:`coudalfish.surface.enriched.Enrichment`."""
+
+    @property
+    def cut(self) -> Any:
+        """Cells of which a node has more unknowns."""
+
+    @property
+    def jump(self) -> Any:
+        """Mask of the nodes at which the pressure jumps, shape (nodes,)."""
+
+    @property
+    def kink(self) -> Any:
+        """Mask of the nodes at which the velocity is kinked, shape (nodes,)."""
+
+    @property
+    def velocity(self) -> FloatArray | None:
+        """That of the surface at nodes near it, shape (nodes, d); unit: length/time; None: it rests."""
+
+    @property
+    def known(self) -> FloatArray:
+        """The signed distance at the nodes, zero where it is not known, shape (nodes,)."""
+
+
+class Dividing(Protocol):
+    """What finds out how a surface divides a mesh."""
+
+    def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Divided, Meeting]:
+        """What is divided, and how the surface meets that (collective).
+
+        Args:
+            meeting: of the surface with the fluid where it is.
+            sheets: how its points hang together.
+            x: their positions, shape (points, d); unit: length.
+            v: their velocities, same shape; unit: length/time.
+        """
+
+    @property
+    def nothing(self) -> Divided:
+        """What there is without a surface."""
+
+    def weights(self, cut: Any) -> FloatArray:
+        """Weights of the negative side at nodes of the cells that are cut, shape (cut, nodes)."""
+
+    def on_walls(self, cut: Any) -> tuple[IntArray, FloatArray]:
+        """Those of them that have a facet on the boundary, and weights there, shape (found, nodes)."""
+
+
+def dividing(*arguments: Any, dim: int, **named: Any) -> Dividing:
+    """By the dimension of the flow: a plane one needs nothing of what one in space does."""
+    if dim == 2:
+        from coudalfish.surface.in_plane import DividedPlane
+
+        return DividedPlane(*arguments, **named)
+    from coudalfish.surface.in_space import DividedSpace
+
+    return DividedSpace(*arguments, **named)
+
+
 class SidedFluid(FluidSubproblem):
     """A flow whose pressure jumps, and whose velocity may be kinked, at the surface.
 
@@ -92,19 +146,14 @@ class SidedFluid(FluidSubproblem):
         self._node = self.velocity_dofs[:, 0] // (self.mesh.geometry.dim + 1)
         self.trace_dofs = np.vstack([self.velocity_dofs, self.velocity_dofs + len(self.timeInt.x.x.array)])
         self.free = np.vstack([self.free, np.zeros_like(self.free)])
-        self._enriching = Enriching(self.velocity_space, kinked=sides.is_kinked)
-        space = sides.negative.function_space
-        points = compat.node_points(space)
-        self._weights = SideWeights(compat.lagrange_degree(space), points)
-        on_walls = sides.wall.function_space
-        self._walls = WallWeights(self.mesh, compat.lagrange_degree(on_walls), compat.node_points(on_walls))
-        self._wall_cells = compat.cell_dofs(on_walls)
-        self._cells = compat.cell_dofs(space)
+        spaces = self.velocity_space, sides.negative.function_space, sides.wall.function_space
+        self._dividing = dividing(*spaces, self.mesh_size, kinked=sides.is_kinked, dim=self.mesh.geometry.dim)
+        self._cells, self._wall_cells = (compat.cell_dofs(space) for space in spaces[1:])
         self._linear, self._blocks = np.empty((2, len(self._node)), dtype=np.int64)
         for f, numbers in ((sides.phi, self._linear), *((f, self._blocks) for f in sides.carried[:1])):
             numbers[compat.cell_dofs(self.velocity_space)] = compat.cell_dofs(f.function_space)
         sides.length.value = self.mesh_size
-        self._found = Enrichment.none(len(self._node))
+        self._found = self._dividing.nothing
         self._weighted = self._cells[:0], self._wall_cells[:0]  # dofs of weights that are not zero
 
     def _recipe(self, unknowns: int, *, blocked: bool) -> LinearSolver:
@@ -118,23 +167,20 @@ class SidedFluid(FluidSubproblem):
         self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, *, scale_m: float, scale_c: float
     ) -> Meeting:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""
-        found = self._enriching(Curves.of(sheets, x), meeting, v if self.sides.is_kinked else None)
+        found, meets = self._dividing(meeting, sheets, x, v)
         self._divide(found)
-        phi = found.known
-        divided, (vertices, corners) = self.sides.doubled.cells, (self._enriching.vertices, self._enriching.corners)
-        location = onto_zero_line(meeting.location, phi[vertices], corners, divided)
-        return KinkedMeeting.of(meeting, self.velocity_space, location, phi / self.mesh_size, found.kink)
+        return meets
 
-    def _divide(self, found: Enrichment) -> None:
+    def _divide(self, found: Divided) -> None:
         """Take over what the surface divides (collective)."""
         self._found, sides = found, self.sides
         phi = found.known
         sides.phi.x.array[self._linear], sides.size.x.array[self._linear] = phi, np.abs(phi)
-        on_walls, of_walls = self._walls(found.cut)
+        on_walls, of_walls = self._dividing.on_walls(found.cut)
         for dofs, weight in zip(self._weighted, (sides.negative, sides.wall), strict=True):
             weight.x.array[dofs] = 0.0
         self._weighted = self._cells[found.cut.cells], self._wall_cells[on_walls]
-        sides.negative.x.array[self._weighted[0]] = self._weights(found.cut)
+        sides.negative.x.array[self._weighted[0]] = self._dividing.weights(found.cut)
         sides.wall.x.array[self._weighted[1]] = of_walls
         d, n = self.mesh.geometry.dim, len(self._node)
         v = np.zeros((n, d)) if found.velocity is None else found.velocity
@@ -158,12 +204,14 @@ class SidedFluid(FluidSubproblem):
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
         return partial(self._divide, self._found)
 
-    def assemble_residual(self, trace: TraceMatrix, forces: FloatArray, impedance: float) -> float:
+    def assemble_residual(
+        self, trace: TraceMatrix, forces: FloatArray, impedance: float, beside: FloatArray | float = 0.0
+    ) -> float:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
         at_nodes, given = trace.nodes < len(self._node), self.sides.given
         given[:] = 0.0
-        given[self.velocity_dofs[trace.nodes[at_nodes]]] = (trace.transposed @ forces)[at_nodes]
-        return super().assemble_residual(trace, forces, impedance)
+        given[self.velocity_dofs[trace.nodes[at_nodes]]] = (trace.transposed @ forces + beside)[at_nodes]
+        return super().assemble_residual(trace, forces, impedance, beside)
 
     def _levels(self) -> tuple[FloatArray, FloatArray]:
         time: Any = self.timeInt

@@ -222,11 +222,24 @@ class Step:
     @property
     def forces(self) -> FloatArray:
         """Fluid on shell at the points."""
-        return exchange.point_forces(self.u, self.y_dot, self.multiplier.acting, self.n, self.W, penalty=self.beta)
+        return self._forces(self.multiplier.acting)
+
+    def _forces(self, lam: FloatArray) -> FloatArray:
+        turned = self.multiplier.turned
+        if turned is not None:
+            lam = lam - self.multiplier.acting  # nothing, but where it acts on nothing
+        forces = exchange.point_forces(self.u, self.y_dot, lam, self.n, self.W, penalty=self.beta)
+        return forces if turned is None else forces + turned.at_points
+
+    @property
+    def beside(self) -> FloatArray | float:
+        """Fluid on shell at the trace's nodes, beside what :attr:`forces` do there; this rank's share."""
+        turned = self.multiplier.turned
+        return 0.0 if turned is None else turned.at_nodes
 
     def _fluid_residual(self) -> float:
         self.block = "fluid"
-        return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta))
+        return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta, self.beside))
 
     def shell_residual(self) -> float:
         """Residual of the shell under the present forces (collective)."""
@@ -272,7 +285,7 @@ class Step:
     def _accepted(self, norm_f: float, norm_s: float) -> bool:
         self.block = "coupling"
         forces = self.forces
-        coupling = self.fluid.coupling_norm(self.trace, forces), self.shell.coupling_norm(forces)
+        coupling = self.fluid.coupling_norm(self.trace, forces, self.beside), self.shell.coupling_norm(forces)
         small = self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
         return small and self.multiplier.satisfied(self)
 
@@ -291,13 +304,13 @@ class Step:
 
     def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        forces = exchange.point_forces(u, y_dot, self.multiplier.whole, n, W, penalty=self.beta)
+        forces = self._forces(self.multiplier.whole)
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
         lam = exchange.tractions(lam, n) if self.lam.ndim == 2 else lam
         ranks.share(self.comm, lam)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
-        on_fluid = self.fluid.received(self.trace, forces)
+        on_fluid = self.fluid.received(self.trace, forces, self.beside)
         areas, self.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
         monitors = monitors_of(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))

@@ -8,31 +8,27 @@ K and A_s the tangents of flow and shell, the latter with its part of the penalt
     [ -beta a_f P'WT       A_s               -P'WH          ] [dy] = [r_s]        r_c = H'W (u_alpha - y')
     [ a_f H'WT             -a_s H'WP         -eps H'WH/beta ] [dc]   [r_c]
 
-and subtracts the increments. The second row is solved for dy with the shell's factors in every product, and the third
-one is multiplied by beta, as the flow's rows of continuity are, so that all rows are forces.
+and subtracts the increments. Where the meeting has normals of its own, along which the multiplier acts, WH becomes its
+forces G on the shell, and T'WH becomes T'G + X, with forces X on the fluid's nodes alone. The second row is solved for
+dy with the shell's factors in every product, and the third one is multiplied by beta, as the flow's rows of continuity
+are, so that all rows are forces.
 """
 
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-import scipy.linalg as la
-import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from coudalfish.sides.fluid import FluidSubproblem
-from coudalfish.surface.trace import TraceMatrix
+from coudalfish.step.linearised import WEAK, Linearised, Preconditioner
 from tigar_x import compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
 
-WEAK = 1e-8
-"""Factor eps of the term that keeps multipliers from growing which nothing else determines."""
 RTOL = 1e-8
 """Residual of the linear solver relative to the first one of the step; 1e-6 is too much for closed chambers."""
 ROUNDED = 1e-13
@@ -41,130 +37,6 @@ LEFT = 0.1
 """Part of the right-hand side that is left at most: a pass that is taken for the slip alone has to lessen it."""
 ITERATIONS = 200
 """Iterations of the linear solver after which it has failed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """The parts of the system at one state, the same on every rank but for the fluid's.
-
-    Attributes:
-        fluid: the flow, with its tangent assembled.
-        trace: of its velocity at the points, this rank's share.
-        part: what its tangent has of the penalty, for one component, shape (trace nodes, trace nodes).
-        W: areas, zero at inactive points, shape (points d,).
-        H: functions of the multiplier, zero where it acts on nothing, shape (points d, functions).
-        P: displacements of the points by the shell's coefficients, shape (points d, coefficients).
-        P_t: its transpose.
-        solve_shell: A_s^-1 times its argument, shape (coefficients,), or each of its columns.
-        beta: penalty.
-        a_s: derivative of y' by y.
-    """
-
-    fluid: FluidSubproblem
-    trace: TraceMatrix
-    part: sp.csr_matrix
-    W: FloatArray
-    H: sp.csr_matrix
-    P: sp.csr_matrix
-    P_t: sp.csr_matrix
-    solve_shell: Callable[[FloatArray], FloatArray]
-    beta: float
-    a_s: float
-
-    @cached_property
-    def dofs(self) -> Any:
-        """Dofs of the trace's nodes, shape (nodes, d)."""
-        return self.fluid.trace_dofs[self.trace.nodes]
-
-    @cached_property
-    def entries(self) -> Any:
-        """Where these dofs are in a vector of the flow on one rank, -1: nowhere, shape (nodes, d)."""
-        return self.fluid.system.entries[self.dofs]
-
-    @cached_property
-    def known(self) -> Any:
-        """Mask of those that are somewhere, shape (nodes, d)."""
-        return self.entries >= 0
-
-    @cached_property
-    def free(self) -> FloatArray:
-        """One where a velocity is free, zero where it is held, shape (nodes, d)."""
-        return self.fluid.free[self.trace.nodes].astype(np.float64)
-
-    @cached_property
-    def H_t(self) -> sp.csr_matrix:
-        """Functions by points, shape (functions, points d)."""
-        return self.H.T.tocsr()
-
-    @cached_property
-    def idle(self) -> Any:
-        """Mask of the functions that act on nothing."""
-        return self.H_t.multiply(self.H_t) @ self.W == 0.0
-
-    def moved(self, forces: FloatArray) -> FloatArray:
-        """Velocity with which the shell gives way to forces at the points, or to columns: ``a_s P A_s^-1 P'``."""
-        return np.asarray(self.a_s * (self.P @ self.solve_shell(self.P_t @ forces)))
-
-    def to_nodes(self, forces: FloatArray) -> FloatArray:
-        """This rank's share of forces at the points on the trace's nodes, shape (nodes, d)."""
-        return np.asarray(self.free * (self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1])))
-
-
-class Preconditioner:
-    """Upper triangular part of the system, with the fluid's own preconditioner and a kept S of the multiplier.
-
-    Args:
-        at: the state at which S is made (collective).
-
-    Attributes:
-        at: as given, or a later state, whose fluid is taken.
-        fluid: the fluid's preconditioner.
-    """
-
-    fluid: PETSc.PC
-
-    def __init__(self, at: Linearised) -> None:
-        self.at = at
-        H = at.H.toarray()
-        WH = at.W[:, None] * H
-        moved = at.moved(WH)
-        self._forces = H - at.beta * moved
-        S = WH.T @ (moved + WEAK / at.beta * H) + at.fluid.timeInt.x_factor * self._by_fluid()
-        S[at.idle, at.idle] = 1.0
-        if not np.isfinite(S).all() or not S.size:
-            raise SolveError("the multiplier's system is not finite")
-        self._factors = la.lu_factor(S, check_finite=False)
-
-    def _by_fluid(self) -> FloatArray:
-        """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
-        at, diagonal = self.at, self.at.fluid.diagonal()
-        if at.fluid.comm.size == 1:
-            T, inverse = at.trace.B, at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
-        else:
-            T, inverse = self._from_all_ranks(diagonal)
-        WG = (at.W[:, None] * self._forces).reshape(T.shape[0], -1)
-        C = (T.T @ WG).reshape(inverse.size, self._forces.shape[1])
-        return np.asarray(C.T @ (inverse.ravel()[:, None] * C))
-
-    def _from_all_ranks(self, diagonal: FloatArray) -> tuple[sp.csr_matrix, FloatArray]:
-        """The whole trace, and the inverse of the diagonal at its nodes, the same on every rank (collective)."""
-        at, fluid, T = self.at, self.at.fluid, self.at.trace.B.tocoo()
-        share = T.row, fluid.names(at.trace.nodes)[T.col], T.data
-        parts = [np.concatenate(part) for part in zip(*fluid.comm.allgather(share), strict=True)]
-        nodes, column = np.unique(parts[1], return_inverse=True)
-        whole = sp.csr_matrix((parts[2], (parts[0], column.ravel())), shape=(T.shape[0], len(nodes)))
-        own = fluid.owned_nodes(nodes)
-        mine = own >= 0
-        inverse = np.zeros((len(nodes), at.dofs.shape[1]))
-        dofs, free = fluid.trace_dofs[own[mine]], fluid.free[own[mine]]
-        inverse[mine] = np.where(free, 1.0 / np.where(free, diagonal[dofs], 1.0), 0.0)
-        fluid.comm.Allreduce(MPI.IN_PLACE, inverse, op=MPI.SUM)
-        return whole, inverse
-
-    def multiplier(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Increment of the multiplier's coefficients, and its forces at the points."""
-        b = -la.lu_solve(self._factors, r, check_finite=False) / self.at.beta
-        return b, self.at.W * (self._forces @ b)
 
 
 class CondensedSystem:
@@ -236,7 +108,7 @@ class CondensedSystem:
         self._add(at.to_nodes(at.beta * at.W * z), rhs[: self._n])
         rhs[: self._n] *= self._force
         if self._own:
-            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.H_t @ (at.W * z)))
+            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.G_t @ z))
         del rhs  # PETSc keeps norms of vectors that nobody writes to
         norm = float(self._rhs.norm())
         if norm == 0.0:
@@ -286,19 +158,25 @@ class CondensedSystem:
         with placed(self._given, given[: self._n]) as flow, placed(self._result, product[: self._n]) as result:
             at.fluid.system.multiply(flow, result)
         a = self._at_nodes(given[: self._n])
-        v = np.zeros(points + self._functions)  # velocities at the points, then coefficients: in one sum over ranks
-        v[:points] = (at.fluid.timeInt.x_factor * (at.trace.B @ a)).ravel()
+        m, a_f = self._functions, at.fluid.timeInt.x_factor
+        v = np.zeros(
+            points + m + (m if at.X_t is not None else 0)
+        )  # at the points, coefficients: in one sum over ranks
+        v[:points] = (a_f * (at.trace.B @ a)).ravel()
         v[points:][: self._own] = given[self._n :]
+        if at.X_t is not None:
+            v[points + m :] = a_f * (at.X_t @ a.ravel())
         if self._comm.size > 1:
             self._comm.Allreduce(MPI.IN_PLACE, v, op=MPI.SUM)
-        v, b = v[:points], v[points:]
-        pushed = at.H @ b
-        traction = at.beta * v + pushed
-        w = at.moved(at.W * traction)
-        self._add(at.to_nodes(at.W * (traction - at.beta * w)) - at.free * (at.part @ a), product[: self._n])
+        v, b, beside = v[:points], v[points : points + m], v[points + m :]
+        pushed = at.G @ b
+        w = at.moved(at.W * at.beta * v + pushed)
+        self._add(at.to_nodes(at.W * (at.beta * (v - w)) + pushed, b) - at.free * (at.part @ a), product[: self._n])
         product[: self._n] *= self._force
         if self._own:
-            product[self._n :] = np.where(at.idle, b, at.H_t @ (at.W * (at.beta * (v - w) - WEAK * pushed)))
+            slip = at.beta * (at.G_t @ (v - w)) - WEAK * (at.H_t @ pushed)
+            slip[: len(beside)] += at.beta * beside
+            product[self._n :] = np.where(at.idle, b, slip)
 
     def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The upper triangular part, solved (collective)."""
@@ -309,7 +187,7 @@ class CondensedSystem:
         b, forces = self.preconditioner.multiplier(r)
         rest = self.increment.array_w
         rest[:] = given[: self._n] / self._force
-        self._add(at.to_nodes(-forces), rest)
+        self._add(at.to_nodes(-forces, -b), rest)
         with placed(self._result, increment[: self._n]) as result:
             self.preconditioner.fluid.apply(self.increment, result)
         if self._own:

@@ -5,15 +5,14 @@ lags, so that neither the time step nor the penalty decides how far shell and fl
 """
 
 import numpy as np
-import scipy.sparse as sp
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.shell import ShellSubproblem
-from coudalfish.step.condensed import CondensedSystem, Linearised, Preconditioner
-from coudalfish.step.method import Stepping
+from coudalfish.step.condensed import CondensedSystem
+from coudalfish.step.functions import Acting, Functions
+from coudalfish.step.linearised import Linearised, Preconditioner
+from coudalfish.step.method import Stepping, Turned
 from coudalfish.step.options import CouplingOptions
-from coudalfish.surface.exchange import along_normals, tractions
-from coudalfish.surface.hats import hat_functions
 from coudalfish.surface.multiplier import held_points
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
@@ -52,38 +51,24 @@ class Converged:
     lag = 0.0
 
     def __init__(self, fluid: FluidSubproblem, shell: ShellSubproblem, options: CouplingOptions) -> None:
-        size = options.multiplier_size * fluid.mesh_size
-        N = hat_functions(shell.spline, shell.sheets, shell.quadrature.weights, size)
-        d, self.vector = shell.spline.nsd, options.multiplier_direction == "vector"
-        self.functions = sp.csr_matrix(abs(N)) if self.vector else N  # a vector has no side
-        self.functions_t, self.areas_t = self.functions.T.tocsr(), abs(N).T.tocsr()
-        self.fit = nearest_coefficients(self.functions, shell.quadrature.weights)
-        self._spread = sp.kron(self.functions, np.eye(d) if self.vector else np.ones((d, 1)), format="csr")
-        self._rows = np.repeat(np.arange(self._spread.shape[0]), np.diff(self._spread.indptr))
+        size, vector = options.multiplier_size * fluid.mesh_size, options.multiplier_direction == "vector"
+        of_shell = shell.spline, shell.sheets, shell.quadrature.weights
+        self.functions = Functions(*of_shell, size, vector=vector)
         self.displacements_t = shell.displacements.T.tocsr()
-        self.system, self._layout = CondensedSystem(fluid, self._spread.shape[1]), fluid.system.layout
+        self.system, self._layout = CondensedSystem(fluid, self.functions.count), fluid.system.layout
         self.preconditioner: Preconditioner | None = None
         self.iterations: int | None = None
 
     def begin(self, step: Stepping) -> "ConvergedMultiplier":
         """See :class:`coudalfish.step.method.Method`."""
-        if self.functions.shape[1] <= MANY:
+        if self.functions.count <= MANY:
             self.preconditioner = None
         return ConvergedMultiplier(self, step)
-
-    def forces(self, directions: FloatArray) -> sp.csr_matrix:
-        """The functions as forces per area at the points, shape (points d, coefficients).
-
-        Args:
-            directions: normals, or of a vector its factors, shape (points, d).
-        """
-        H = self._spread
-        return sp.csr_matrix((H.data * directions.ravel()[self._rows], H.indices, H.indptr), shape=H.shape)
 
     def prepared(self, at: Linearised) -> CondensedSystem:
         """The system at a state whose tangents have been assembled (collective)."""
         if at.fluid.system.layout != self._layout:
-            self.system = CondensedSystem(at.fluid, self._spread.shape[1])
+            self.system = CondensedSystem(at.fluid, self.functions.count)
             self._layout = at.fluid.system.layout
         if self.preconditioner is None:
             self.preconditioner, self.iterations = Preconditioner(at), None
@@ -101,7 +86,7 @@ class Converged:
 
 
 class ConvergedMultiplier:
-    """The multiplier of one step, ``sum_k c_k N_k`` along the normals.
+    """The multiplier of one step, ``sum_k c_k N_k`` along the normals or as a vector.
 
     It starts from the coefficients whose multiplier is nearest to what the step before left: the same ones, unless that
     was another kind of step.
@@ -113,20 +98,40 @@ class ConvergedMultiplier:
     Attributes:
         acting: see :class:`coudalfish.step.method.StepMultiplier`.
         whole: likewise.
+        turned: likewise.
     """
 
+    turned: Turned | None
+
     def __init__(self, method: Converged, step: Stepping) -> None:
-        self._method, self._N = method, method.functions
+        self._method, self._functions = method, method.functions
         self._held = held_points(step.comm, step.fluid.free, step.shell.sheets, step.trace, step.n)
-        self._vector = method.vector
-        self._c = method.fit @ (tractions if self._vector else along_normals)(step.lam, step.n)
+        self._n, self._at = step.n, self._functions.acting(step, np.where(self._held, 0.0, 1.0))
+        self._own = self._at.X is not None
+        self._c = self._functions.fitted(step.lam, step.n, own_normals=self._own)
         ranks.share(step.comm, self._c)
         self._reference = 0.0
-        self._renew()
+        self._renew(step)
 
-    def _renew(self) -> None:
-        self.whole = np.asarray(self._N @ self._c)
-        self.acting = np.where(self._held[:, None] if self._vector else self._held, 0.0, self.whole)
+    def _renew(self, step: Stepping) -> None:
+        self.whole = self._functions.values(self._c, step.n, own_normals=self._own)
+        self.acting = np.where(self._held[:, None] if self.whole.ndim == 2 else self._held, 0.0, self.whole)
+        self.turned = None
+        at, shape = self._acting(step), (-1, step.n.shape[1])
+        if at.X is not None:
+            self.turned = Turned((at.G @ self._c).reshape(shape), (at.X @ self._c).reshape(shape))
+
+    def _acting(self, step: Stepping) -> Acting:
+        """The functions along the present normals, which may follow the iterate."""
+        if step.n is not self._n:
+            self._n, self._at = step.n, self._functions.acting(step, np.where(self._held, 0.0, 1.0))
+        return self._at
+
+    def _slip(self, step: Stepping) -> FloatArray:
+        """Power of the functions' forces by the velocity of the fluid relative to the shell, shape (coefficients,)."""
+        at = self._acting(step)
+        slip = np.asarray(at.G.T @ (step.u - step.y_dot).ravel())
+        return slip if at.X is None else slip + step.fluid.power(at.X, step.trace)
 
     def advance(self, step: Stepping) -> float:
         """See :class:`coudalfish.step.method.StepMultiplier`."""
@@ -137,14 +142,13 @@ class ConvergedMultiplier:
         step.block = "fluid"
         system = self._method.prepared(at)
         r_s = ranks.first(step.comm, step.shell.system.b.array_r.copy())
-        r_c = at.H_t @ (at.W * (step.u - step.y_dot).ravel())
-        norm, c = system.solve(step.fluid.system.b, r_s, r_c, self._reference, step.acceptance.limits[0])
+        norm, c = system.solve(step.fluid.system.b, r_s, self._slip(step), self._reference, step.acceptance.limits[0])
         self._reference = max(self._reference, norm)
         self._method.solved(system.iterations)
         step.linear_iterations += system.iterations
         step.fluid.system.subtract(system.increment)
-        self._c = self._c - c.reshape(self._c.shape)
-        self._renew()
+        self._c = self._c - c
+        self._renew(step)
         step.u = step.fluid.velocity_at(step.trace)
         self._move_shell(step)
         return before
@@ -158,13 +162,15 @@ class ConvergedMultiplier:
             step.fluid.assemble_tangent(step.trace, self._part)
             step.block = "shell"
             ranks.agreed(step.comm, lambda: shell.assemble_tangent(step.W, step.beta))
-        acts = np.where(self._held, 0.0, 1.0)[:, None]
+        acting = self._acting(step)
         return Linearised(
             fluid=step.fluid,
             trace=step.trace,
             part=self._part,
             W=np.repeat(step.W, d),
-            H=self._method.forces(np.repeat(acts, d, axis=1) if self._vector else acts * step.n),
+            H=acting.H,
+            G=acting.G,
+            X=acting.X,
             P=shell.displacements,
             P_t=self._method.displacements_t,
             solve_shell=shell.system.inverse,
@@ -183,13 +189,9 @@ class ConvergedMultiplier:
 
     def satisfied(self, step: Stepping) -> bool:
         """See :class:`coudalfish.step.method.StepMultiplier`."""
-        active = np.where(self._held, 0.0, step.W)
-        areas = self._method.areas_t @ active
-        slip = step.u - step.y_dot
-        if not self._vector:
-            slip = np.einsum("qi,qi->q", slip, step.n)[:, None]
-        sums = self._method.functions_t @ (active[:, None] * slip)
-        areas = np.broadcast_to(areas[:, None], sums.shape)
+        sums = self._slip(step)
+        areas = self._functions.areas_t @ np.where(self._held, 0.0, step.W)
+        areas = np.repeat(areas, len(sums) // len(areas))
         mean = float((np.divide(sums**2, areas, out=np.zeros_like(sums), where=areas > 0.0)).sum())
         speed = float((step.W[:, None] * (step.u**2 + step.y_dot**2)).sum())
         accepted = max(TIGHT * step.options.block_rtol, SOLVED)
@@ -201,17 +203,3 @@ class ConvergedMultiplier:
     ) -> FloatArray:
         """What it is; nothing is left to update."""
         return self.whole
-
-
-def nearest_coefficients(N: sp.csr_matrix, W: FloatArray) -> FloatArray:
-    """From multipliers to the coefficients of the functions that are nearest to them in the mean over areas.
-
-    Args:
-        N: functions at the points, shape (points, functions).
-        W: areas, shape (points,).
-
-    Returns:
-        Shape (functions, points).
-    """
-    root = np.sqrt(W)
-    return np.asarray(np.linalg.pinv(root[:, None] * N.toarray(), rcond=1e-10) * root)

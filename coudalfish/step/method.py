@@ -71,6 +71,20 @@ class Stepping(Protocol):
         """One step of Newton's for the shell."""
 
 
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Forces of a multiplier that acts along normals that the meeting has of its own.
+
+    Attributes:
+        at_points: of its part that acts, fluid on shell, shape (points, d); unit: force.
+        at_nodes: on the nodes of the trace, beside what the forces at the points do there, shape (nodes, d), this
+            rank's share.
+    """
+
+    at_points: FloatArray
+    at_nodes: FloatArray
+
+
 class StepMultiplier(Protocol):
     """The multiplier of one step.
 
@@ -81,6 +95,10 @@ class StepMultiplier(Protocol):
 
     acting: FloatArray
     whole: FloatArray
+
+    @property
+    def turned(self) -> Turned | None:
+        """Forces along normals of the meeting's own; None: it acts along the shell's, or is a vector."""
 
     def advance(self, step: Stepping) -> float:
         """One pass; returns the residual of the shell with the new flow (collective)."""

@@ -58,6 +58,9 @@ class ByAverages:
         """See :class:`coudalfish.surface.meeting.Meeting`."""
         return (self.means @ self.locator.vertex_functions(self.location)).tocsr()
 
+    def normal_forces(self, functions: sp.csr_matrix, n: FloatArray, trace: sp.csr_matrix | None = None) -> None:
+        """See there: normals of the curve are as good, since phi is corrected by its means over it."""
+
 
 class MeetsByAverages:
     """The exact trace of a curve.

@@ -75,12 +75,6 @@ class Enrichment:
         """The signed distance, zero where it is not known, shape (nodes,)."""
         return np.where(np.isfinite(self.phi), self.phi, 0.0)
 
-    @classmethod
-    def none(cls, nodes: int) -> "Enrichment":
-        """That of a mesh of some nodes without a curve."""
-        cut = CutCells(np.empty(0, dtype=np.int32), np.empty((0, 3)))
-        return cls(np.full(nodes, np.nan), cut, *np.zeros((2, nodes), dtype=bool))
-
 
 class Enriching:
     """Finds the enrichment of a mesh of triangles by curves.
@@ -100,9 +94,9 @@ class Enriching:
         arms = self.corners[:, 1:] - self.corners[:, :1]
         self._areas = 0.5 * np.abs(np.linalg.det(arms))
         size = float(np.linalg.norm(arms, axis=2).max(initial=0.0))
-        self._largest = self._comm.allreduce(size, op=MPI.MAX)
-        self._owned = compat.owned_cells(space.mesh)
-        nodes, areas = self.vertices[: self._owned], self._areas[: self._owned]
+        self.largest = self._comm.allreduce(size, op=MPI.MAX)
+        self.owned = compat.owned_cells(space.mesh)
+        nodes, areas = self.vertices[: self.owned], self._areas[: self.owned]
         self._support = self._total(nodes, np.broadcast_to(areas[:, None], nodes.shape))
 
     def _total(self, nodes: IntArray, values: FloatArray) -> FloatArray:
@@ -128,7 +122,7 @@ class Enriching:
         cut = CutCells.of(self.vertices, phi)
         lengths, share = self._lines(cut, curves)
         real, nodes = lengths >= 0.0, self.vertices[cut.cells]
-        mine = np.where(real & (cut.cells < self._owned), 1.0, 0.0)[:, None]
+        mine = np.where(real & (cut.cells < self.owned), 1.0, 0.0)[:, None]
         other = np.where(cut.values < 0.0, 1.0 - cut.negative_share[:, None], cut.negative_share[:, None])
         other = self._total(nodes, mine * other * self._areas[cut.cells, None])
         jump = (other > DIVIDED * self._support) & (other < (1.0 - DIVIDED) * self._support)
@@ -164,7 +158,7 @@ class Enriching:
 
     def _on_line(self, phi: FloatArray) -> FloatArray:
         """Values of which those are zero that rounding alone keeps from it: 0 counts as positive on every rank."""
-        return np.where(np.abs(phi) <= ON_LINE * self._largest, 0.0, phi)
+        return np.where(np.abs(phi) <= ON_LINE * self.largest, 0.0, phi)
 
     def _distances(self, curves: Curves) -> tuple[FloatArray, Nearest]:
         """Signed distances of the nodes, by normals of which those of different curves agree (collective).
@@ -174,14 +168,14 @@ class Enriching:
         neighbourhood of the one into that of the other most stay on one side, or have two sides where they cross a
         curve or its continuation: two curves in one cell are as good as one. The first curve keeps its normals.
         """
-        far, tree = REACH * self._largest, self._tree
+        far, tree = REACH * self.largest, self._tree
         at_ends = Sought(curves.near_ends(self.x, far, tree), far)
-        near = curves.nearest(self.x, Sought(self._every, NEAR * self._largest, tree), at_ends)
+        near = curves.nearest(self.x, Sought(self._every, NEAR * self.largest, tree), at_ends)
         phi = self._on_line(near.signed_distance())
         number = int(curves.chain.curve.max(initial=-1)) + 1
         if number < 2:
             return phi, near
-        edges = self.vertices[: self._owned][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        edges = self.vertices[: self.owned][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
         nearest = near.curve()
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
@@ -202,11 +196,11 @@ class Enriching:
         """
         ends, n = cut.line(self.corners), len(cut.cells)
         arms, middle = ends[:, 1] - ends[:, 0], 0.5 * (ends[:, 0] + ends[:, 1])
-        close = curves.near_ends(middle, 2.0 * self._largest)
+        close = curves.near_ends(middle, 2.0 * self.largest)
         at = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
         samples = (ends[close, None, 0] + at * arms[close, None]).reshape(-1, middle.shape[1])
-        x, in_middle = np.concatenate([middle, samples]), Sought(np.arange(n), OFF_LINE * NEAR * self._largest)
-        near = curves.nearest(x, in_middle, Sought(np.arange(n, len(x)), REACH * self._largest))
+        x, in_middle = np.concatenate([middle, samples]), Sought(np.arange(n), OFF_LINE * NEAR * self.largest)
+        near = curves.nearest(x, in_middle, Sought(np.arange(n, len(x)), REACH * self.largest))
         covered = near.covered().astype(np.float64)
         share = covered[:n]
         share[close] = covered[n:].reshape(-1, SAMPLES).mean(axis=1)
@@ -215,7 +209,7 @@ class Enriching:
         rest = np.flatnonzero(~real)
         corners, negative = self.corners[cut.cells[rest]], cut.values[rest] < 0.0
         for a, b in ((0, 1), (1, 2), (2, 0)):
-            crossed = curves.crossed(corners[:, a], corners[:, b], REACH * self._largest)
+            crossed = curves.crossed(corners[:, a], corners[:, b], REACH * self.largest)
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
         return np.where(real, np.sqrt(np.einsum("ci,ci->c", arms, arms)), -1.0), share
 

@@ -80,8 +80,8 @@ class EnrichingInSpace(Enriching):
     def __init__(self, space: fem.FunctionSpace, *, kinked: bool) -> None:
         super().__init__(space, kinked=kinked)
         ends = self.corners[:, EDGES]
-        self._sizes = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
-        self._of_nodes = self._largest_around(space, self._sizes)
+        self.sizes = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
+        self._of_nodes = self._largest_around(space, self.sizes)
         self._of_neighbours = self._largest_around(space, self._of_nodes[self.vertices].max(axis=1))
 
     def _largest_around(self, space: fem.FunctionSpace, of_cells: FloatArray) -> FloatArray:
@@ -101,7 +101,7 @@ class EnrichingInSpace(Enriching):
         cut = CutSimplices.of(self.vertices, phi)
         real, zero, covered = self._polygons(cut, surfaces)
         nodes = self.vertices[cut.cells]
-        mine = np.where(real & (cut.cells < self._owned), 1.0, 0.0)[:, None]
+        mine = np.where(real & (cut.cells < self.owned), 1.0, 0.0)[:, None]
         other = np.where(cut.values < 0.0, 1.0 - cut.negative_share[:, None], cut.negative_share[:, None])
         other = self._total(nodes, mine * other * self._areas[cut.cells, None])
         jump = (other > DIVIDED * self._support) & (other < (1.0 - DIVIDED) * self._support)
@@ -126,7 +126,7 @@ class EnrichingInSpace(Enriching):
         number = int(surfaces.net.sheet.max(initial=-1)) + 1
         if number < 2:
             return phi, near
-        edges = self.vertices[: self._owned][:, EDGES].reshape(-1, 2)
+        edges = self.vertices[: self.owned][:, EDGES].reshape(-1, 2)
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
         edges, a, b = edges[between], a[between], b[between]
@@ -143,7 +143,7 @@ class EnrichingInSpace(Enriching):
 
         In other cells the sign changes as they are half way between two surfaces.
         """
-        corners, near_by = self.corners[cut.cells], 0.5 * self._sizes[cut.cells]
+        corners, near_by = self.corners[cut.cells], 0.5 * self.sizes[cut.cells]
         zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
         middles, around = zero.middles(), far[zero.rows]
         at_ends = surfaces.near_ends(middles, 2.0 * around)
@@ -154,7 +154,7 @@ class EnrichingInSpace(Enriching):
         rest = np.flatnonzero(~real)
         ends, negative = corners[rest], cut.values[rest] < 0.0
         for a, b in EDGES:
-            crossed = surfaces.crossed(ends[:, a], ends[:, b], self._sizes[cut.cells[rest]])
+            crossed = surfaces.crossed(ends[:, a], ends[:, b], self.sizes[cut.cells[rest]])
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
         kept = real[zero.rows]
         covered = zero.only(kept).covered_by(surfaces, near_by, near.covered()[kept])

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from dolfinx import fem
 
-from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.meeting import Meeting, NormalForces
 from coudalfish.surface.trace import Location, TraceMatrix
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
@@ -86,6 +86,12 @@ class KinkedMeeting:
     def vertex_functions(self) -> sp.csr_matrix:
         """See there (collective)."""
         return self.plain.vertex_functions()
+
+    def normal_forces(
+        self, functions: sp.csr_matrix, n: FloatArray, trace: sp.csr_matrix | None = None
+    ) -> NormalForces | None:
+        """See there (collective)."""
+        return self.plain.normal_forces(functions, n, self.penalty[0] if trace is None else trace)
 
 
 def onto_zero_line(location: Location, phi: FloatArray, corners: FloatArray, divided: Any) -> Location:

@@ -12,6 +12,20 @@ from coudalfish.surface.trace import Location, PointLocator, TraceMatrix, trace_
 from tigar_x.compat import FloatArray, IntArray
 
 
+@dataclass(frozen=True, eq=False)
+class NormalForces:
+    """Forces of a multiplier's functions along normals that the meeting has of its own.
+
+    Attributes:
+        at_points: on the surface, the same on every rank, shape (points d, functions).
+        beside: on the nodes of the trace, beside what these do there by the trace, shape (nodes d, functions); this
+            rank's share.
+    """
+
+    at_points: sp.csr_matrix
+    beside: sp.csr_matrix
+
+
 class Meeting(Protocol):
     """Where a surface is in the fluid in one step.
 
@@ -49,6 +63,17 @@ class Meeting(Protocol):
 
     def vertex_functions(self) -> sp.csr_matrix:
         """Linear functions of the fluid mesh's vertices as the points see them (collective)."""
+
+    def normal_forces(
+        self, functions: sp.csr_matrix, n: FloatArray, trace: sp.csr_matrix | None = None
+    ) -> NormalForces | None:
+        """Forces of scalar functions along the meeting's own normals (collective); None: the surface's are as good.
+
+        Args:
+            functions: of a multiplier, force per area at the points, shape (points, functions).
+            n: the surface's normals, which agree across joints, shape (points, d).
+            trace: from more nodes to the rows of E, where the velocity has more; None: it is E.
+        """
 
 
 class Meets(Protocol):
@@ -101,6 +126,9 @@ class AtPoints:
     def vertex_functions(self) -> sp.csr_matrix:
         """See :class:`Meeting`."""
         return self.locator.vertex_functions(self.location)
+
+    def normal_forces(self, functions: sp.csr_matrix, n: FloatArray, trace: sp.csr_matrix | None = None) -> None:
+        """See there."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,10 @@ class Multiplier:
     Attributes:
         acting: multiplier without that of points that are held, shape (points,).
         whole: all of it, shape (points,).
+        turned: None, as it acts along the shell's normals.
     """
+
+    turned: None = None
 
     def __init__(
         self,

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.meeting import Meeting, NormalForces
 from coudalfish.surface.polygons import ZeroPoints
 from coudalfish.surface.trace import Location, TraceMatrix
 from tigar_x.compat import FloatArray, IntArray
@@ -35,6 +35,7 @@ class OnPolygons:
         penalty: nodal velocities there, and areas at rest.
         seen: see :class:`coudalfish.surface.meeting.Meeting`.
         plain: the surface where it is.
+        comm: of the fluid.
     """
 
     W: FloatArray
@@ -44,6 +45,7 @@ class OnPolygons:
     penalty: tuple[sp.csr_matrix, FloatArray]
     seen: IntArray
     plain: Meeting
+    comm: MPI.Comm
 
     @classmethod
     def of(
@@ -74,7 +76,7 @@ class OnPolygons:
         starts = np.arange(0, column.size + 1, nodes.shape[1])
         E = sp.csr_matrix((points.barycentric.ravel(), column.ravel(), starts), shape=(len(areas), len(seen)))
         location = Location(points.cells, points.barycentric, np.ones(len(areas), dtype=bool))
-        return cls(W, location, points.normals, hats, (E, areas), seen, plain)
+        return cls(W, location, points.normals, hats, (E, areas), seen, plain, comm)
 
     @cached_property
     def means(self) -> sp.csr_matrix:
@@ -96,18 +98,37 @@ class OnPolygons:
         """See there (collective)."""
         return self.plain.vertex_functions()
 
-    def along_normals(self, functions: sp.csr_matrix) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """Forces of scalar functions that act along the normals of the polygons, this rank's share of both.
+    def normal_forces(
+        self, functions: sp.csr_matrix, n: FloatArray, trace: sp.csr_matrix | None = None
+    ) -> NormalForces:
+        """Forces along the normals of the polygons (collective): what acts on both sides sums to the same.
 
         Args:
             functions: of a multiplier, force per area at the surface's points, shape (points, functions).
-
-        Returns:
-            On the seen nodes, component by component, shape (d seen, functions), and on the surface's points, shape
-            (d points, functions): they sum to the same.
+            n: the surface's normals, which agree across joints, shape (points, d).
+            trace: see :class:`coudalfish.surface.meeting.Meeting`.
         """
-        E, areas = self.penalty
-        acting = sp.diags(areas) @ self.hats @ functions
-        each = [sp.diags(n) @ acting for n in self.normals.T]
-        on_fluid, on_surface = (sp.vstack([of @ part for part in each], format="csr") for of in (E.T, self.hats.T))
-        return on_fluid, on_surface
+        E = self.penalty[0] if trace is None else trace
+        side = np.where(np.einsum("gi,gi->g", self.hats @ n, self.normals) < 0.0, -1.0, 1.0)
+        acting, back, hats_t = sp.diags(side * self.penalty[1]) @ self.hats @ functions, self.means.T, self.hats.T
+        each = [sp.diags(component) @ acting for component in self.normals.T]
+        at_points = self._of_all_ranks(_alternating([(hats_t @ part).tocsr() for part in each]))
+        d, E_t = len(each), E.T
+        beside = [(E_t @ (part - back @ at_points[i::d])).tocsr() for i, part in enumerate(each)]
+        return NormalForces(at_points, _alternating(beside))
+
+    def _of_all_ranks(self, share: sp.csr_matrix) -> sp.csr_matrix:
+        """Sum of the ranks' shares of a matrix (collective)."""
+        if self.comm.size == 1:
+            return share
+        part = share.tocoo()
+        parts = self.comm.allgather((part.row, part.col, part.data))
+        row, column, data = (np.concatenate(values) for values in zip(*parts, strict=True))
+        return sp.csr_matrix((data, (row, column)), shape=share.shape)
+
+
+def _alternating(matrices: list[sp.csr_matrix]) -> sp.csr_matrix:
+    """One matrix with the first rows of some, then their second ones, and so on."""
+    d, rows = len(matrices), matrices[0].shape[0]
+    order = (np.arange(rows)[:, None] + rows * np.arange(d)).ravel()
+    return sp.vstack(matrices, format="csr")[order]

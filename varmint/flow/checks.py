@@ -166,7 +166,7 @@ def fields_at_surface(
     reasons = (
         (dt is None, "dt = None: a flow that advances in time"),
         (degree != 1, f"degree = {degree}: degree 1"),
-        (compat.cell_name(mesh.domain) != "triangle", "mesh: triangles in the plane"),
+        (compat.cell_name(mesh.domain) not in ("triangle", "tetrahedron"), "mesh: triangles or tetrahedra"),
         (moving is not None, "moving: a mesh that is fixed"),
         (solid is not None, "solid: None"),
         (any(isinstance(condition, Resistance) for condition in conditions), "conditions: no Resistance"),
@@ -180,6 +180,9 @@ def fields_at_surface(
         return str(kind)
     if missing:
         log.info("fields at an immersed surface are 'plain': for others, %s is required", missing)
+        return "plain"
+    if mesh.domain.geometry.dim == 3:
+        log.info("fields at an immersed surface are 'plain' in space")
         return "plain"
     log.info("fields at an immersed surface are 'jump and kink'")
     return "jump and kink"

@@ -1,0 +1,174 @@
+"""The parts of the linear system of fluid, shell and multiplier at one state, and what its multiplier is solved by."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.surface.trace import TraceMatrix
+from tigar_x.compat import FloatArray
+from tigar_x.fem.linear import SolveError
+
+WEAK = 1e-8
+"""Factor eps of the term that keeps multipliers from growing which nothing else determines."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The parts of the system at one state, the same on every rank but for the fluid's.
+
+    Attributes:
+        fluid: the flow, with its tangent assembled.
+        trace: of its velocity at the points, this rank's share.
+        part: what its tangent has of the penalty, for one component, shape (trace nodes, trace nodes).
+        W: areas, zero at inactive points, shape (points d,).
+        H: functions of the multiplier, zero where it acts on nothing, shape (points d, functions).
+        G: their forces on the shell, shape (points d, functions).
+        X: forces on the trace's nodes beside ``T' G``, shape (nodes d, functions), this rank's share; None: there are
+            none.
+        P: displacements of the points by the shell's coefficients, shape (points d, coefficients).
+        P_t: its transpose.
+        solve_shell: A_s^-1 times its argument, shape (coefficients,), or each of its columns.
+        beta: penalty.
+        a_s: derivative of y' by y.
+    """
+
+    fluid: FluidSubproblem
+    trace: TraceMatrix
+    part: sp.csr_matrix
+    W: FloatArray
+    H: sp.csr_matrix
+    G: sp.csr_matrix
+    X: sp.csr_matrix | None
+    P: sp.csr_matrix
+    P_t: sp.csr_matrix
+    solve_shell: Callable[[FloatArray], FloatArray]
+    beta: float
+    a_s: float
+
+    @cached_property
+    def dofs(self) -> Any:
+        """Dofs of the trace's nodes, shape (nodes, d)."""
+        return self.fluid.trace_dofs[self.trace.nodes]
+
+    @cached_property
+    def entries(self) -> Any:
+        """Where these dofs are in a vector of the flow on one rank, -1: nowhere, shape (nodes, d)."""
+        return self.fluid.system.entries[self.dofs]
+
+    @cached_property
+    def known(self) -> Any:
+        """Mask of those that are somewhere, shape (nodes, d)."""
+        return self.entries >= 0
+
+    @cached_property
+    def free(self) -> FloatArray:
+        """One where a velocity is free, zero where it is held, shape (nodes, d)."""
+        return self.fluid.free[self.trace.nodes].astype(np.float64)
+
+    @cached_property
+    def H_t(self) -> sp.csr_matrix:
+        """Functions by points, shape (functions, points d)."""
+        return self.H.T.tocsr()
+
+    @cached_property
+    def G_t(self) -> sp.csr_matrix:
+        """Forces of the functions, shape (functions, points d)."""
+        return self.G.T.tocsr()
+
+    @cached_property
+    def X_t(self) -> sp.csr_matrix | None:
+        """What is beside them, shape (functions, nodes d)."""
+        return None if self.X is None else self.X.T.tocsr()
+
+    @cached_property
+    def idle(self) -> Any:
+        """Mask of the functions that act on nothing."""
+        return self.H_t.multiply(self.H_t) @ self.W == 0.0
+
+    def moved(self, forces: FloatArray) -> FloatArray:
+        """Velocity with which the shell gives way to forces at the points, or to columns: ``a_s P A_s^-1 P'``."""
+        return np.asarray(self.a_s * (self.P @ self.solve_shell(self.P_t @ forces)))
+
+    def to_nodes(self, forces: FloatArray, b: FloatArray | None = None) -> FloatArray:
+        """This rank's share of forces on the trace's nodes, shape (nodes, d).
+
+        Args:
+            forces: at the points, shape (points d,).
+            b: coefficients of functions that have more than these, shape (functions,); None: there are none.
+        """
+        nodal = self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1])
+        if self.X is not None and b is not None:
+            nodal = nodal + (self.X @ b).reshape(nodal.shape)
+        return np.asarray(self.free * nodal)
+
+
+class Preconditioner:
+    """Upper triangular part of the system, with the fluid's own preconditioner and a kept S of the multiplier.
+
+    Args:
+        at: the state at which S is made (collective).
+
+    Attributes:
+        at: as given, or a later state, whose fluid is taken.
+        fluid: the fluid's preconditioner.
+    """
+
+    fluid: PETSc.PC
+
+    def __init__(self, at: Linearised) -> None:
+        self.at = at
+        H, G = at.H.toarray(), at.G.toarray()
+        moved = at.moved(G)
+        self._forces = G - at.beta * at.W[:, None] * moved
+        S = G.T @ (moved + WEAK / at.beta * H) + at.fluid.timeInt.x_factor * self._by_fluid()
+        S[at.idle, at.idle] = 1.0
+        if not np.isfinite(S).all() or not S.size:
+            raise SolveError("the multiplier's system is not finite")
+        self._factors = la.lu_factor(S, check_finite=False)
+
+    def _by_fluid(self) -> FloatArray:
+        """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
+        at, diagonal = self.at, self.at.fluid.diagonal()
+        if at.fluid.comm.size == 1:
+            T, X, inverse = at.trace.B, at.X, at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
+        else:
+            T, X, inverse = self._from_all_ranks(diagonal)
+        C = (T.T @ self._forces.reshape(T.shape[0], -1)).reshape(inverse.size, self._forces.shape[1])
+        if X is not None:
+            C = np.asarray(C + X)
+        return np.asarray(C.T @ (inverse.ravel()[:, None] * C))
+
+    def _from_all_ranks(self, diagonal: FloatArray) -> tuple[sp.csr_matrix, sp.csr_matrix | None, FloatArray]:
+        """The whole trace, what is beside, and the inverse of the diagonal at its nodes, on every rank (collective)."""
+        at, fluid, T, d = self.at, self.at.fluid, self.at.trace.B.tocoo(), self.at.dofs.shape[1]
+        names, X = fluid.names(at.trace.nodes), None if at.X is None else at.X.tocoo()
+        beside = () if X is None else (names[X.row // d], X.row % d, X.col, X.data)
+        parts = [
+            np.concatenate(part)
+            for part in zip(*fluid.comm.allgather((T.row, names[T.col], T.data, *beside)), strict=True)
+        ]
+        nodes, column = np.unique(parts[1], return_inverse=True)
+        whole = sp.csr_matrix((parts[2], (parts[0], column.ravel())), shape=(T.shape[0], len(nodes)))
+        if X is not None:
+            row = d * np.searchsorted(nodes, parts[3]) + parts[4]
+            X = sp.csr_matrix((parts[6], (row, parts[5])), shape=(d * len(nodes), X.shape[1]))
+        own = fluid.owned_nodes(nodes)
+        mine = own >= 0
+        inverse = np.zeros((len(nodes), at.dofs.shape[1]))
+        dofs, free = fluid.trace_dofs[own[mine]], fluid.free[own[mine]]
+        inverse[mine] = np.where(free, 1.0 / np.where(free, diagonal[dofs], 1.0), 0.0)
+        fluid.comm.Allreduce(MPI.IN_PLACE, inverse, op=MPI.SUM)
+        return whole, X, inverse
+
+    def multiplier(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Increment of the multiplier's coefficients, and its forces at the points."""
+        b = -la.lu_solve(self._factors, r, check_finite=False) / self.at.beta
+        return b, self._forces @ b

@@ -1,0 +1,86 @@
+"""How surfaces divide a flow in space: where its fields differ, weights of the sides, and where the surfaces see it."""
+
+import numpy as np
+from dolfinx import fem
+
+from coudalfish.surface.boundary import net_in
+from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights
+from coudalfish.surface.enriched_space import EnrichingInSpace, EnrichmentInSpace
+from coudalfish.surface.facets import FacetWeights
+from coudalfish.surface.kinks import KinkedMeeting
+from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.net import Net
+from coudalfish.surface.on_polygons import OnPolygons
+from coudalfish.surface.polygons import ZeroSet
+from coudalfish.surface.sheets import Sheets
+from coudalfish.surface.surfaces import Surfaces
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
+
+QUADRATURE = 2
+"""Degree of the polynomials that points on polygons integrate exactly: hat functions times velocities."""
+BESIDE = 0.5
+"""Distance of a polygon from the surface, in sizes of its cell, up to which it sees it."""
+ATTACHED = 0.1
+"""Distance from the boundary, in sizes of cells, within which an edge of a surface is attached to it."""
+
+
+class DividedSpace:
+    """A mesh of tetrahedra that surfaces divide, see :class:`coudalfish.sides.sided_fluid.Dividing`.
+
+    Args:
+        space: scalar linear space of one component of the velocity.
+        weights: discontinuous space of the weights of sides.
+        walls: the same of those on the boundary.
+        size: of cells near the surface; unit: length.
+        kinked: whether velocities are kinked; pressures always jump.
+    """
+
+    def __init__(
+        self,
+        space: fem.FunctionSpace,
+        weights: fem.FunctionSpace,
+        walls: fem.FunctionSpace,
+        size: float,
+        *,
+        kinked: bool,
+    ) -> None:
+        self._space, self._size, self._kinked = space, size, kinked
+        self._enriching = EnrichingInSpace(space, kinked=kinked)
+        self._weights = SidedWeights(compat.lagrange_degree(weights), compat.node_points(weights))
+        self._walls = FacetWeights(walls, compat.lagrange_degree(walls))
+        self._net: tuple[Sheets, Net, FloatArray] | None = None
+
+    def __call__(
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray
+    ) -> tuple[EnrichmentInSpace, Meeting]:
+        """See there (collective)."""
+        if self._net is None or self._net[0] is not sheets:
+            net = net_in(self._space.mesh, sheets, ATTACHED * self._size)
+            self._net = sheets, net, Surfaces(sheets.X, net).triangles.areas
+        _, net, at_rest = self._net
+        surfaces = Surfaces(x, net)
+        found = self._enriching(surfaces, v if self._kinked else None)
+        owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
+        points = owned.quadrature(QUADRATURE)
+        hats, areas = points.on(surfaces, surfaces.triangles.areas / at_rest, BESIDE * self._enriching.sizes[points.cells])
+        whole, comm = meeting.W, self._space.mesh.comm
+        on = OnPolygons.of(points, hats, areas, self._enriching.vertices, whole, meeting, comm)
+        if not self._kinked:
+            return found, on
+        return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)
+
+    @property
+    def nothing(self) -> EnrichmentInSpace:
+        """See there."""
+        nodes, cut = len(self._enriching.x), CutSimplices(np.empty(0, dtype=np.int32), np.empty((0, 4)))
+        zero = ZeroSet.of(cut, np.empty((0, 4, 3)))
+        return EnrichmentInSpace(np.full(nodes, np.nan), cut, zero, *np.zeros((2, nodes), dtype=bool))
+
+    def weights(self, cut: CutSimplices) -> FloatArray:
+        """See there."""
+        return self._weights(cut)
+
+    def on_walls(self, cut: CutSimplices) -> tuple[IntArray, FloatArray]:
+        """See there."""
+        return self._walls(cut)
