@@ -222,14 +222,10 @@ class Step:
     @property
     def forces(self) -> FloatArray:
         """Fluid on shell at the points."""
-        return self._forces(self.multiplier.acting)
-
-    def _forces(self, lam: FloatArray) -> FloatArray:
-        turned = self.multiplier.turned
-        if turned is not None:
-            lam = lam - self.multiplier.acting  # nothing, but where it acts on nothing
-        forces = exchange.point_forces(self.u, self.y_dot, lam, self.n, self.W, penalty=self.beta)
-        return forces if turned is None else forces + turned.at_points
+        lam, turned = self.multiplier.acting, self.multiplier.turned
+        if turned is None:
+            return exchange.point_forces(self.u, self.y_dot, lam, self.n, self.W, penalty=self.beta)
+        return self.beta * self.W[:, None] * (self.u - self.y_dot) + turned.at_points
 
     @property
     def beside(self) -> FloatArray | float:
@@ -304,7 +300,8 @@ class Step:
 
     def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        forces = self._forces(self.multiplier.whole)
+        unmoved = exchange.tractions(self.multiplier.whole - self.multiplier.acting, n)
+        forces = self.forces + W[:, None] * unmoved
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
         lam = exchange.tractions(lam, n) if self.lam.ndim == 2 else lam
         ranks.share(self.comm, lam)

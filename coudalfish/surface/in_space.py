@@ -63,7 +63,9 @@ class DividedSpace:
         found = self._enriching(surfaces, v if self._kinked else None)
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
         points = owned.quadrature(QUADRATURE)
-        hats, areas = points.on(surfaces, surfaces.triangles.areas / at_rest, BESIDE * self._enriching.sizes[points.cells])
+        hats, areas = points.on(
+            surfaces, surfaces.triangles.areas / at_rest, BESIDE * self._enriching.sizes[points.cells]
+        )
         whole, comm = meeting.W, self._space.mesh.comm
         on = OnPolygons.of(points, hats, areas, self._enriching.vertices, whole, meeting, comm)
         if not self._kinked:
