@@ -135,7 +135,7 @@ class HeldSurface:
     curved: float = 0.2
     slope: tuple[float, float] = (0.0, 0.0)
     weak: bool = False
-    per_cell: float = 1.0
+    per_cell: float = 1.5
     iterative: bool = False
 
     def above(self, x: FloatArray) -> FloatArray:
@@ -437,7 +437,7 @@ class Slit:
     layers: int = 1
     place: float = 0.37
     middle: float = 0.5
-    per_cell: float = 1.0
+    per_cell: float = 2.0
     steady: float = 3e-3
     most: int = 150
 
@@ -515,7 +515,7 @@ class Hole:
     length: float = 0.5
     place: float = 0.37
     middle: tuple[float, float] = (0.13, 0.29)
-    per_cell: float = 1.0
+    per_cell: float = 1.5
     steady: float = 3e-3
     most: int = 150
 
