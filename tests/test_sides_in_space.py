@@ -14,6 +14,7 @@ from coudalfish.surface.polygons import ZeroSet
 from tigar_x import compat
 from tigar_x.fem.doubled import DoubledSystem
 from tigar_x.fem.linear import direct
+from tigar_x.run.plane_field import PlaneField
 from varmint import BoundaryForce, Flow, FlowOptions, Measured, PointValues, Traction, WeakVelocity, box, movie
 from varmint.errors import integral_by_sides, velocity_errors
 from varmint.quantities import flow_rate, kinetic_energy, volume, vorticity, wall_shear_stress
@@ -237,3 +238,25 @@ def test_files_have_tetrahedra_on_either_side_of_the_plane(cut_box, tmp_path):
     np.testing.assert_allclose(fields["velocity"], np.outer(x[:, 1], (1.0, 0.0, 0.0)), atol=1e-10)
     assert len(cells) > 162 + 100
     WORLD.barrier()
+
+
+def test_pictures_show_nodes_alone_as_without_sides(cut_box):
+    """Those of the side of the box with the smallest third coordinate."""
+    flow = cut_box.flow
+    fields = [PlaneField(flow.w, sides=sides) for sides in (flow.sides, None)]
+    np.testing.assert_array_equal(*(field.triangles for field in fields))
+    np.testing.assert_array_equal(*(field.values for field in fields))
+    if WORLD.rank == 0:
+        np.testing.assert_allclose(fields[0].values[:, 3], fields[0].x @ SLOPE[:2] - C, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["jump", "jump and kink"])
+@pytest.mark.parametrize(
+    ("cell", "degree", "wanted"),
+    [("hexahedron", 1, "mesh: triangles or tetrahedra"), ("tetrahedron", 2, "degree = 2: degree 1")],
+)
+def test_other_cells_and_degrees_are_refused_by_what_is_allowed(kind, cell, degree, wanted):
+    mesh = box(WORLD, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (2, 2, 2), cell)
+    walls = WeakVelocity((*WALLS, "front"))
+    with pytest.raises(ValueError, match=f"immersed = '{kind}', {wanted} is required"):
+        Flow(mesh, walls, rho=RHO, mu=MU, dt=0.1, degree=degree, immersed=kind)

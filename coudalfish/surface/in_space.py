@@ -48,7 +48,7 @@ class DividedSpace:
         self._space, self._size, self._kinked = space, size, kinked
         self._enriching = EnrichingInSpace(space, kinked=kinked)
         self._weights = SidedWeights(compat.lagrange_degree(weights), compat.node_points(weights))
-        self._walls = FacetWeights(walls, compat.lagrange_degree(walls))
+        self._walls = FacetWeights(walls)
         self._net: tuple[Sheets, Net, FloatArray] | None = None
 
     def __call__(
