@@ -6,7 +6,7 @@ from mpi4py import MPI
 from dolfinx import mesh
 from test_nearest_surfaces import cube, grid, surfaces
 
-from coudalfish.surface.enriched_space import EnrichingInSpace
+from coudalfish.surface.enriched import Enriching
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat
 
@@ -14,7 +14,7 @@ COMM = MPI.COMM_WORLD
 
 
 def enriching(n=5, comm=COMM, kinked=True):
-    return EnrichingInSpace(compat.lagrange_space(mesh.create_unit_cube(comm, n, n, n), 1), kinked=kinked)
+    return Enriching(compat.lagrange_space(mesh.create_unit_cube(comm, n, n, n), 1), kinked=kinked)
 
 
 def graded(n=7, comm=COMM):
@@ -22,12 +22,12 @@ def graded(n=7, comm=COMM):
     domain = mesh.create_unit_cube(comm, n, n, n)
     z = domain.geometry.x[:, 2]
     z[:] = (np.exp(2.3 * z) - 1.0) / (np.exp(2.3) - 1.0)
-    return EnrichingInSpace(compat.lagrange_space(domain, 1), kinked=True)
+    return Enriching(compat.lagrange_space(domain, 1), kinked=True)
 
 
 def by_the_largest(e):
     """The same with the size of the largest cell of the mesh everywhere."""
-    for name in ("_sizes", "_of_nodes", "_of_neighbours"):
+    for name in ("sizes", "_of_nodes", "_of_neighbours"):
         values = getattr(e, name)
         values[:] = COMM.allreduce(float(values.max(initial=0.0)), op=MPI.MAX)
     return e
@@ -174,7 +174,7 @@ def test_along_faces_of_cells_pressures_jump_there_and_velocities_are_not_kinked
 def test_velocities_of_the_surface_at_nodes():
     e, surface = enriching(5), surfaces(plate(0.433))
     v = surface.x @ np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
-    found = e(surface, v)
+    found = e(surface, v=v)
     near = np.abs(e.x[:, 2] - 0.433) < 0.2
     expected = e.x @ np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(found.velocity[near], expected[near], atol=1e-12)

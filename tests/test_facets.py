@@ -5,8 +5,7 @@ import pytest
 from mpi4py import MPI
 from dolfinx import mesh
 
-from coudalfish.surface.cut_cells import CutCells
-from coudalfish.surface.cut_simplices import CutSimplices, rule
+from coudalfish.surface.cut_cells import CutCells, rule
 from coudalfish.surface.facets import FacetWeights, walls_of
 from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
@@ -59,7 +58,7 @@ def test_every_facet_has_the_integrals_of_its_part(d, plane):
     domain = domain_of(d)
     space = compat.lagrange_space(domain, K + 1, discontinuous=True)
     vertices, phi = level(domain, *plane)
-    cut = CutSimplices.of(vertices, phi)
+    cut = CutCells.of(vertices, phi)
     cells, weights = FacetWeights(space)(cut)
     x, w = rule(d - 1, 2 * K + 1)
     several = set()
@@ -83,7 +82,7 @@ def test_where_three_facets_meet_one_integral_is_an_approximation():
     vertices, phi = level(domain, 1.0, 0.37, 0.61, 0.29)
     x, w = rule(2, 2 * K + 1)
     off = []
-    for cell, nodal in zip(*FacetWeights(space)(CutSimplices.of(vertices, phi)), strict=True):
+    for cell, nodal in zip(*FacetWeights(space)(CutCells.of(vertices, phi)), strict=True):
         for side in np.flatnonzero(walls_of(domain)[cell] >> np.arange(4) & 1):
             here = compat.tabulate(space, on_facet(side, x)[:, 1:]) @ nodal
             off.append((w * here) @ monomials(x) - of_negative_part(np.delete(phi[vertices[cell]], side)))
@@ -105,7 +104,7 @@ def test_penalties_of_both_sides_are_positive_on_all_walls_of_a_cell(kind):
             normal = rng.standard_normal(3)
             _, away = level(domain, *normal, 0.0)
             vertices, phi = level(domain, *normal, rng.uniform(away.min(), away.max()))
-            for cell, nodal in zip(*weights(CutSimplices.of(vertices, phi)), strict=True):
+            for cell, nodal in zip(*weights(CutCells.of(vertices, phi)), strict=True):
                 sides, values = np.flatnonzero(walls[cell] >> np.arange(4) & 1), phi[vertices[cell]]
                 masses = np.zeros((3, *[4 if kind == "jump" else 8] * 2))
                 for side in sides:
@@ -124,7 +123,7 @@ def test_on_one_facet_of_a_triangle_weights_are_what_they_were():
     domain = mesh.create_unit_square(SELF, 4, 4)
     old_space, space = (compat.lagrange_space(domain, k, discontinuous=True) for k in (K, K + 1))
     vertices, phi = level(domain, 1.0, 0.2, 0.3302)
-    cells, new = FacetWeights(space)(CutSimplices.of(vertices, phi))
+    cells, new = FacetWeights(space)(CutCells.of(vertices, phi))
     old_cells, old = WallWeights(domain, K, compat.node_points(old_space))(CutCells.of(vertices, phi))
     np.testing.assert_array_equal(cells, old_cells)
     checked, t = 0, np.linspace(0.0, 1.0, 5)[:, None]

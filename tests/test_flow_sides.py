@@ -6,7 +6,7 @@ import ufl
 from dolfinx import fem
 from flows import DT, MU, RHO, assembled, grid, randomise
 
-from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights
+from coudalfish.surface.cut_cells import CutCells, SideWeights
 from coudalfish.surface.polygons import ZeroSet
 from tigar_x import compat
 from varmint.forms.sides import Sides, sided_residual
@@ -40,8 +40,8 @@ class Scene:
         c = np.repeat(
             (phi[vertices].max(axis=1) <= 0.0)[:, None].astype(float), compat.cell_dofs(weights).shape[1], axis=1
         )
-        self.cut = CutSimplices.of(vertices, phi)
-        c[self.cut.cells] = SidedWeights(DEGREE, compat.node_points(weights))(self.cut)
+        self.cut = CutCells.of(vertices, phi)
+        c[self.cut.cells] = SideWeights(DEGREE, compat.node_points(weights))(self.cut)
         self.negative.x.array[compat.cell_dofs(weights)] = c
         self.sides = Sides(self.phi, self.size, self.negative)
         self.u, self.rate = fem.Function(self.V), fem.Function(self.V)

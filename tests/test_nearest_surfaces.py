@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from coudalfish.surface.distance import Sought
+from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces

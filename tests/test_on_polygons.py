@@ -8,7 +8,7 @@ from dolfinx import fem, mesh
 from test_enriched_space import ball, plate
 from test_nearest_surfaces import surfaces
 
-from coudalfish.surface.enriched_space import EnrichingInSpace
+from coudalfish.surface.enriched import Enriching
 from coudalfish.surface.on_polygons import OnPolygons
 from tigar_x import compat
 
@@ -18,7 +18,7 @@ COMM = MPI.COMM_WORLD
 def met(surface, n=5, comm=COMM, stretch=1.0):
     """A surface whose areas at rest are its present ones over a stretch."""
     space = compat.lagrange_space(mesh.create_unit_cube(comm, n, n, n), 1)
-    e = EnrichingInSpace(space, kinked=False)
+    e = Enriching(space, kinked=False)
     found = e(surface)
     points = found.zero.only(found.zero.cut.cells[found.zero.rows] < e.owned).quadrature()
     hats, areas = points.on(surface, np.full(len(surface.net.triangles), stretch), 0.5)

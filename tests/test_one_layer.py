@@ -7,8 +7,8 @@ from dolfinx import mesh
 from test_nearest_surfaces import grid, surfaces
 
 from coudalfish.surface.boundary import boundary
-from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights, rule
-from coudalfish.surface.enriched_space import EnrichingInSpace
+from coudalfish.surface.cut_cells import CutCells, SideWeights, rule
+from coudalfish.surface.enriched import Enriching
 from coudalfish.surface.facets import FacetWeights, walls_of
 from coudalfish.surface.net import Net
 from coudalfish.surface.polygons import ZeroSet
@@ -50,14 +50,14 @@ def test_pressures_of_one_side_are_in_equilibrium_on_polygons_and_walls(name, de
     weights = compat.lagrange_space(domain, 2, discontinuous=True)
     vertices, x = compat.cell_dofs(linear), linear.tabulate_dof_coordinates()
     phi, corners = PHI[name](x), x[vertices]
-    cut = CutSimplices.of(vertices, phi)
+    cut = CutCells.of(vertices, phi)
     inverse = np.linalg.inv(corners[:, 1:] - corners[:, :1])
     slopes = np.concatenate([-inverse.sum(axis=2, keepdims=True), inverse], axis=2)
     volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
     inside = (phi[vertices] < 0.0).all(axis=1).astype(float)
     share = inside.copy()
     at, w = rule(3, 2)
-    share[cut.cells] = SidedWeights(2, compat.node_points(weights))(cut) @ compat.tabulate(weights, at).T @ w * 6.0
+    share[cut.cells] = SideWeights(2, compat.node_points(weights))(cut) @ compat.tabulate(weights, at).T @ w * 6.0
     np.testing.assert_allclose(share[cut.cells], cut.negative_share, atol=1e-12)
     by_pressure, by_forces = np.zeros((2, len(x), 3))
     np.add.at(by_pressure, vertices, np.moveaxis(slopes, 2, 1) * (share * volumes)[:, None, None])
@@ -91,7 +91,7 @@ def test_a_plate_from_wall_to_wall_covers_the_layer_up_to_its_free_edge(margin):
     held = plate.attached_to(walls, 0.01)
     surface = Surfaces(plate.x, Net(plate.net.cells, plate.net.place, held))
     assert (surface.x[held, 0] > 0.61 - 1e-12).all()
-    e = EnrichingInSpace(compat.lagrange_space(domain, 1), kinked=True)
+    e = Enriching(compat.lagrange_space(domain, 1), kinked=True)
     found = e(surface)
     off = 1e-3 if margin > 0.0 else 1e-12  # round the corner of the free edge
     assert found.zero.sizes().sum() == pytest.approx(0.39 * DEPTH, rel=off)

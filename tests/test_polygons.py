@@ -6,7 +6,9 @@ from mpi4py import MPI
 from dolfinx import mesh
 from test_nearest_surfaces import grid, surfaces
 
-from coudalfish.surface.cut_simplices import CutSimplices
+from coudalfish.surface.covering import by_surfaces
+from coudalfish.surface.cut_cells import CutCells
+from coudalfish.surface.interface import Sought
 from coudalfish.surface.polygons import ZeroSet
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat
@@ -19,12 +21,18 @@ def box(d, n):
 
 
 def zero_set(vertices, x, phi):
-    cut = CutSimplices.of(vertices, phi)
+    cut = CutCells.of(vertices, phi)
     return cut, ZeroSet.of(cut, x[vertices[cut.cells]])
 
 
 def sphere(x, radius=0.331, center=(0.51, 0.49, 0.52)):
     return np.linalg.norm(x - np.array(center)[: x.shape[1]], axis=1) - radius
+
+
+def covered(zero, surface):
+    middles = zero.middles()
+    there = surface.nearest(middles, Sought(np.arange(len(middles)), 0.5)).covered()
+    return by_surfaces(zero, surface, np.ones(len(middles)), there)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -84,7 +92,7 @@ def test_points_stand_for_areas_at_rest(stretch, size):
     rest = Surfaces(points * [1.0 / stretch, 1.0, 1.0], plate.net).triangles.areas
     vertices, x = box(3, 7)
     _, zero = zero_set(vertices, x, x[:, 2] - 0.43)
-    found = zero.covered_by(plate, 0.5).quadrature()
+    found = covered(zero, plate).quadrature()
     functions, areas = found.on(plate, plate.triangles.areas / rest, 0.5)
     inside = min(size, 1.0)
     np.testing.assert_allclose(found.areas.sum(), inside**2, rtol=1e-12 if size > 1.0 else 4e-3)  # corners are cut off
@@ -103,9 +111,9 @@ def test_gaps_are_not_covered_if_they_are_not_too_narrow(gap, seen):
     )
     vertices, x = box(3, 4)
     _, zero = zero_set(vertices, x, x[:, 2] - 0.43)
-    covered = zero.covered_by(surfaces(low, high), 0.5)
-    np.testing.assert_allclose(covered.sizes().sum(), 1.0 - seen, atol=1e-12)
-    whole, share = zero.of_cells(zero.sizes()), covered.of_cells(covered.sizes())
+    found = covered(zero, surfaces(low, high))
+    np.testing.assert_allclose(found.sizes().sum(), 1.0 - seen, atol=1e-12)
+    whole, share = zero.of_cells(zero.sizes()), found.of_cells(found.sizes())
     assert (share <= whole * (1.0 + 1e-12)).all()
     assert ((share < 0.99 * whole).sum() > 4) == (seen > 0.0)
 
@@ -113,6 +121,6 @@ def test_gaps_are_not_covered_if_they_are_not_too_narrow(gap, seen):
 def test_what_is_not_cut_has_no_points():
     vertices, x = box(3, 2)
     cut, zero = zero_set(vertices, x, x[:, 0] + 1.0)
-    points = zero.covered_by(surfaces(grid(2)), 0.5).quadrature()
+    points = covered(zero, surfaces(grid(2))).quadrature()
     assert len(cut.cells) == len(zero.rows) == len(points.areas) == 0
     assert points.barycentric.shape == (0, 4)

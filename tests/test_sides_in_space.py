@@ -8,7 +8,7 @@ import ufl
 from mpi4py import MPI
 from on_disk import read_vtkhdf_meshes
 
-from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights
+from coudalfish.surface.cut_cells import CutCells, SideWeights
 from coudalfish.surface.facets import FacetWeights, walls_of
 from coudalfish.surface.polygons import ZeroSet
 from tigar_x import compat
@@ -48,9 +48,9 @@ def divide(flow):
     linear, owned = sides.phi.function_space, compat.owned_cells(domain)
     vertices, phi = compat.cell_dofs(linear), level(linear.tabulate_dof_coordinates())
     sides.phi.x.array[:], sides.size.x.array[:] = phi, np.abs(phi)
-    cut = CutSimplices.of(vertices, phi)
+    cut = CutCells.of(vertices, phi)
     weights = sides.negative.function_space
-    weights_there = SidedWeights(compat.lagrange_degree(weights), compat.node_points(weights))(cut)
+    weights_there = SideWeights(compat.lagrange_degree(weights), compat.node_points(weights))(cut)
     sides.negative.x.array[compat.cell_dofs(weights)[cut.cells]] = weights_there
     walls = sides.wall.function_space
     on_walls, weights_there = FacetWeights(walls)(cut)
@@ -162,7 +162,7 @@ def test_where_slopes_of_pressures_differ_weights_inside_and_on_walls_are_exact(
     ends = corners @ cells[of]
     sizes = np.abs(np.linalg.det(ends[:, 1:] - ends[:, :1])) / 6.0
     np.add.at(expected[:, :3], V[of], sizes[:, None, None] * corners.mean(axis=1)[..., None] * D)
-    cut = CutSimplices.of(np.arange(4 * len(cells)).reshape(-1, 4), level(cells).ravel())
+    cut = CutCells.of(np.arange(4 * len(cells)).reshape(-1, 4), level(cells).ravel())
     points = ZeroSet.of(cut, cells[cut.cells]).quadrature(2)
     jumps = points.areas * (2.0 * C - points.x @ D)
     forces = jumps[:, None] * points.normals

@@ -1,4 +1,4 @@
-"""Triangles that the zero line of a linear function divides, and weights that integrate over its two sides.
+"""Triangles or tetrahedra that a linear function divides where it is zero, and weights that integrate over both sides.
 
 Weights of a side are the projection of its indicator on polynomials of degree k, in the mean square: times any
 polynomial of degree k they have the integral of the side. As functions they are polynomials of degree k as well, so
@@ -6,24 +6,29 @@ that any quadrature of degree 2 k in the whole cell integrates over the sides wh
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import product
 from typing import Any
 
 import basix
 import numpy as np
+import scipy.linalg as la
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem import pieces
+from tigar_x.fem.simplices import Division
+
+KINDS = (basix.CellType.interval, basix.CellType.triangle, basix.CellType.tetrahedron)
+"""Simplices, by their dimensions less one."""
 
 
 @dataclass(frozen=True, eq=False)
 class CutCells:
-    """Triangles in which a nodal function has two signs; zero counts as positive.
+    """Triangles or tetrahedra in which a nodal function has two signs; zero counts as positive.
 
     Attributes:
         cells: their numbers, ascending, shape (cut,).
-        values: the function at their vertices, shape (cut, 3).
+        values: the function at their vertices, shape (cut, d + 1).
     """
 
     cells: IntArray
@@ -34,14 +39,14 @@ class CutCells:
 
     @classmethod
     def of(cls, vertices: IntArray, phi: FloatArray) -> "CutCells":
-        """Those among triangles.
+        """Those among all cells.
 
         Args:
-            vertices: nodes at the vertices of all triangles, shape (cells, 3).
+            vertices: nodes at the vertices of the cells, shape (cells, d + 1).
             phi: the function at the nodes; where it is not a number nothing is cut.
         """
-        a, b, c = (phi < 0.0)[vertices].T
-        cells = np.flatnonzero((a != b) | (a != c)).astype(np.int32)
+        first, *others = (phi < 0.0)[vertices].T
+        cells = np.flatnonzero(reduce(np.logical_or, [first != other for other in others])).astype(np.int32)
         values = phi[vertices[cells]]
         known = np.isfinite(values).all(axis=1)
         return cls(cells[known], values[known])
@@ -51,38 +56,73 @@ class CutCells:
         return self if chosen.all() else CutCells(self.cells[chosen], self.values[chosen])
 
     @cached_property
-    def _alone(self) -> tuple[IntArray, Any]:
-        """See :func:`tigar_x.fem.pieces.alone`."""
-        return pieces.alone(self.values)
-
-    @cached_property
-    def corner(self) -> FloatArray:
-        """Triangles at that vertex, see :func:`tigar_x.fem.pieces.corner`, shape (cut, 3, 3)."""
-        return pieces.corner(self.values)
+    def division(self) -> Division:
+        """In what they are divided."""
+        return Division(self.values)
 
     @cached_property
     def negative_share(self) -> FloatArray:
-        """Area of the negative side relative to the cell, shape (cut,)."""
-        lone, of_negative = self._alone
-        row = np.arange(len(lone))
-        share = (1.0 - self.corner[row, 1, lone]) * (1.0 - self.corner[row, 2, lone])
-        return np.where(of_negative, share, 1.0 - share)
+        """Volume of the negative side relative to the cell, shape (cut,)."""
+        share = self.division.smaller_share
+        return np.where(self.division.of_negative, share, 1.0 - share)
 
     @property
     def smaller_share(self) -> FloatArray:
-        """Area of the smaller side relative to the cell, shape (cut,)."""
+        """Volume of the smaller side relative to the cell, shape (cut,)."""
         return np.minimum(self.negative_share, 1.0 - self.negative_share)
 
-    def line(self, corners: FloatArray) -> FloatArray:
-        """Ends of the zero line.
 
-        Args:
-            corners: vertices of all triangles, shape (cells, 3, d); unit: length.
+class SideMoments:
+    """Integrals of polynomials over the negative sides of cut simplices.
 
-        Returns:
-            Shape (cut, 2, d).
-        """
-        return np.asarray(np.einsum("cev,cvi->cei", self.corner[:, 1:], corners[self.cells]))
+    Args:
+        dim: of the simplices, 1 to 3.
+        degree: k, of the polynomials.
+
+    Attributes:
+        whole: the same over the reference simplex, shape (polynomials,).
+    """
+
+    def __init__(self, dim: int, degree: int) -> None:
+        self._degree = checks.whole("degree", degree, 0)
+        powers = product(range(degree + 1), repeat=dim)
+        self._powers = np.array(sorted((p for p in powers if sum(p) <= degree), key=sum)).T
+        x, weights = rule(dim, 2 * degree)
+        plain = self._monomials(x)
+        # orthonormal, as moments of monomials of high degree are as good as linearly dependent
+        self._factor = la.cholesky(plain * weights @ plain.T, lower=True)
+        self.whole = self.polynomials(x).T @ weights
+        x, self._weights = rule(dim, max(degree, 1))
+        self._barycentric = np.column_stack([1.0 - x.sum(axis=1), x])
+
+    def polynomials(self, x: FloatArray) -> FloatArray:
+        """Orthonormal polynomials on the reference simplex at points of it, shape (n, d) -> (n, polynomials)."""
+        return self._orthonormal(self._monomials(x)).T
+
+    def _orthonormal(self, plain: FloatArray) -> FloatArray:
+        """What monomials have, of orthonormal polynomials, shape (polynomials, n)."""
+        return np.asarray(la.solve_triangular(self._factor, plain, lower=True, check_finite=False))
+
+    def _monomials(self, x: FloatArray) -> FloatArray:
+        """About the middle, shape (..., d) -> (monomials, ...)."""
+        dim = x.shape[-1]
+        y = np.moveaxis(x, -1, 0) * (dim + 1.0) - 1.0
+        powers = np.ones((self._degree + 1, *y.shape))
+        for n in range(self._degree):
+            np.multiply(powers[n], y, out=powers[n + 1])
+        result = powers[self._powers[0], 0]
+        for axis in range(1, dim):
+            result *= powers[self._powers[axis], axis]
+        return result
+
+    def __call__(self, division: Division) -> FloatArray:
+        """Shape (n, polynomials)."""
+        plain = np.empty((len(self.whole), len(division.values)))
+        for parts in division.smaller:
+            values = self._monomials((self._barycentric @ parts.barycentric)[..., 1:])
+            plain[:, parts.rows] = np.einsum("mnp,np->mn", values @ self._weights, parts.shares)
+        moments = self._orthonormal(plain).T
+        return np.where(division.of_negative[:, None], moments, self.whole - moments)
 
 
 class SideWeights:
@@ -90,40 +130,19 @@ class SideWeights:
 
     Args:
         degree: k.
-        points: reference coordinates at which they are wanted, shape (points, 2).
+        points: reference coordinates at which they are wanted, shape (points, d).
     """
 
     def __init__(self, degree: int, points: FloatArray) -> None:
-        degree = checks.whole("degree", degree, 0)
-        powers = [(i, n - i) for n in range(degree + 1) for i in range(n + 1)]
-        self._degree, self._powers = degree, np.array(powers).T
-        x, weights = _rule(2 * degree)
-        V = self._monomials(x)
-        self._from_moments = self._monomials(points) @ np.linalg.inv(V.T @ (weights[:, None] * V))
-        self._whole = V.T @ weights
-        x, self._weights = _rule(max(degree, 1))
-        self._barycentric = np.column_stack([1.0 - x.sum(axis=1), x])
-
-    def _monomials(self, x: FloatArray) -> FloatArray:
-        """About the middle of the triangle, shape (..., monomials)."""
-        y = np.moveaxis(x, -1, 0) - 1.0 / 3.0
-        powers = np.ones((self._degree + 1, *y.shape))
-        for n in range(self._degree):
-            np.multiply(powers[n], y, out=powers[n + 1])
-        a, b = self._powers
-        return np.moveaxis(powers[a, 0] * powers[b, 1], 0, -1)
+        self._moments = SideMoments(points.shape[1], degree)
+        self._values = self._moments.polynomials(points).T
 
     def __call__(self, cut: CutCells) -> FloatArray:
         """Weights at the points, shape (cut, points)."""
-        x = (self._barycentric @ cut.corner)[..., 1:]
-        _, of_negative = cut._alone
-        share = np.where(of_negative, cut.negative_share, 1.0 - cut.negative_share)
-        moments = np.einsum("g,cgm->cm", self._weights, self._monomials(x)) * share[:, None]
-        moments = np.where(of_negative[:, None], moments, self._whole - moments)
-        return np.asarray(moments @ self._from_moments.T)
+        return np.asarray(self._moments(cut.division) @ self._values)
 
 
-def _rule(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Quadrature points and weights on the reference triangle."""
-    x, weights = basix.make_quadrature(basix.CellType.triangle, degree)
+def rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Quadrature points and weights on a reference simplex."""
+    x, weights = basix.make_quadrature(KINDS[dim - 1], degree)
     return np.asarray(x), np.asarray(weights)

@@ -10,27 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from coudalfish.surface.interface import SAME_DISTANCE, Sought
 from coudalfish.surface.sheets import Chain, Sheets
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-
-SAME_DISTANCE = 1e-12
-"""Difference of distances, relative to what they are sought within, that rounding makes: the first segment counts."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sought:
-    """Points of which the nearest places are sought.
-
-    Attributes:
-        points: their numbers.
-        reach: distance up to which, or one for each; unit: length.
-        tree: of these points; None: it is made.
-    """
-
-    points: IntArray
-    reach: float | FloatArray
-    tree: cKDTree | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +41,11 @@ class Curves:
         """
         return cls(x, sheets.chain)
 
+    @property
+    def sheets(self) -> int:
+        """Number of the connected curves."""
+        return int(self.chain.curve.max(initial=-1)) + 1
+
     @cached_property
     def tangents(self) -> tuple[FloatArray, FloatArray]:
         """Unit tangents and lengths of the segments."""
@@ -77,7 +65,7 @@ class Curves:
         starts, ends = self.chain.segments.T
         return cKDTree(0.5 * (self.x[starts] + self.x[ends]))
 
-    def nearest(self, x: FloatArray, *sought: Sought) -> "Nearest":
+    def nearest(self, x: FloatArray, *sought: Sought) -> "NearestOnCurves":
         """Nearest places of the curves to points.
 
         Args:
@@ -89,7 +77,9 @@ class Curves:
         for one in sought:
             limit[one.points] = one.reach
             tree = cKDTree(x[one.points]) if one.tree is None else one.tree
-            near = tree.sparse_distance_matrix(self._middles, np.max(one.reach) + half, output_type="ndarray")
+            near = tree.sparse_distance_matrix(
+                self._middles, np.max(one.reach, initial=0.0) + half, output_type="ndarray"
+            )
             pairs.append((one.points[near["i"]], near["j"]))
         i, k = (np.concatenate(part) for part in zip(*pairs, strict=True))
         group, order = _grouped(i, len(x))
@@ -101,49 +91,52 @@ class Curves:
         tolerance = SAME_DISTANCE * (limit.max(initial=0.0) + half)
         best = _least(distance, tolerance, k, group)
         best = best[distance[best] <= limit[i[best]]]
-        return Nearest(self, len(x), i[best], k[best], along[best], gap[best], distance[best])
+        return NearestOnCurves(self, len(x), i[best], k[best], along[best], gap[best], distance[best])
 
-    def crossed(self, start: FloatArray, end: FloatArray, reach: float) -> Any:
+    def crossed(self, start: FloatArray, end: FloatArray, reach: float | FloatArray) -> Any:
         """Mask of the straight lines that cross a curve or its continuation, shape (m,).
 
         Args:
             start: where they begin, shape (m, 2); unit: length.
             end: where they end.
-            reach: how far curves are continued; unit: length.
+            reach: how far curves are continued, or how far for each line; unit: length.
         """
-        result = np.zeros(len(start), dtype=bool)
-        a, b = self._continued(reach)
+        result, reach = np.zeros(len(start), dtype=bool), np.broadcast_to(reach, len(start))
+        farthest = float(reach.max(initial=0.0))
+        a, b, from_end = self._continued(farthest)
         if not len(start) or not len(a):
             return result
         longest = np.linalg.norm(end - start, axis=1).max() + np.linalg.norm(b - a, axis=1).max()
         lines, curve = cKDTree(0.5 * (start + end)), cKDTree(0.5 * (a + b))
         near = lines.sparse_distance_matrix(curve, 0.5 * longest, output_type="ndarray")
         i, k = near["i"], near["j"]
-        parts = _side(start[i], end[i], a[k]) * _side(start[i], end[i], b[k])
+        at_a, at_b = _side(start[i], end[i], a[k]), _side(start[i], end[i], b[k])
         parted = _side(a[k], b[k], start[i]) * _side(a[k], b[k], end[i])
-        result[i[(parts <= 0.0) & (parted <= 0.0)]] = True
+        there = (at_a * at_b <= 0.0) & (parted <= 0.0)
+        i, k, at_a, size = i[there], k[there], at_a[there], (at_a - at_b)[there]
+        along = farthest * np.divide(at_a, size, out=np.zeros_like(size), where=size != 0.0)
+        result[i[~from_end[k] | (along <= reach[i])]] = True
         return result
 
-    def _continued(self, reach: float) -> tuple[FloatArray, FloatArray]:
-        """Starts and ends of the segments, and of those that continue them at free ends."""
+    def _continued(self, reach: float) -> tuple[FloatArray, FloatArray, Any]:
+        """Starts and ends of the segments and of those that continue them at free ends, and the mask of these."""
         starts, ends = self.x[self.chain.segments].transpose(1, 0, 2)
         arms, (first, last) = reach * self.tangents[0], self.chain.free[self.chain.segments].T
-        begins = starts, ends[last], starts[first] - arms[first]
-        return np.concatenate(begins), np.concatenate([ends, ends[last] + arms[last], starts[first]])
+        a, b = [starts, ends[last], starts[first]], [ends, ends[last] + arms[last], starts[first] - arms[first]]
+        return np.concatenate(a), np.concatenate(b), np.arange(sum(map(len, a))) >= len(starts)
 
-    def near_ends(self, x: FloatArray, reach: float, tree: cKDTree | None = None) -> IntArray:
+    def near_ends(self, x: FloatArray, reach: float | FloatArray) -> IntArray:
         """Those of some points that are not farther than a distance from a free end, ascending.
 
         Args:
             x: points, shape (m, d); unit: length.
-            reach: the distance; unit: length.
-            tree: of the points; None: all are looked at.
+            reach: the distance, or one for each point; unit: length.
         """
-        ends = self.x[self.chain.free]
-        if tree is None:
-            gap = x[:, None] - ends
-            return np.flatnonzero((np.einsum("pei,pei->pe", gap, gap) <= reach**2).any(axis=1))
-        return np.unique(np.concatenate([[], *tree.query_ball_point(ends, reach)]).astype(np.int64))
+        near, limit = np.zeros(len(x), dtype=bool), np.square(reach)
+        for end in self.x[self.chain.free]:
+            gap = x - end
+            near |= np.einsum("pi,pi->p", gap, gap) <= limit
+        return np.flatnonzero(near)
 
 
 def _side(start: FloatArray, end: FloatArray, x: FloatArray) -> FloatArray:
@@ -153,7 +146,7 @@ def _side(start: FloatArray, end: FloatArray, x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
+class NearestOnCurves:
     """Nearest places of curves to points, those that are in reach, all that are equally near.
 
     Attributes:
@@ -206,7 +199,7 @@ class Nearest:
         side = np.einsum("pi,pi->p", self.gap, normal)
         return self._spread(np.where(self._beyond, side, np.where(side < 0.0, -self.distance, self.distance)), np.nan)
 
-    def curve(self) -> IntArray:
+    def sheet(self) -> IntArray:
         """Number of the nearest curve, -1 where a point is farther, shape (m,)."""
         return self._spread(self.curves.chain.curve[self.segment], -1)
 

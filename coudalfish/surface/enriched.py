@@ -1,12 +1,13 @@
-"""Which nodes of a fluid's mesh get unknowns for what is different on both sides of a curve.
+"""Which nodes of a fluid's mesh get unknowns for what is different on both sides of curves or surfaces.
 
-A pressure jumps at a node whose cells the curve divides into two parts. A velocity is kinked at every node of a cell
-that is cut. At free ends a node takes part if the curve covers at least half of the zero line in its cells: where two
-ends touch the surface is tight, and a gap of a cell and more lets the fluid through.
+A pressure jumps at a node whose cells are divided into two parts. A velocity is kinked at every node of a cell that is
+cut. At free ends a node takes part if at least half of where the signed distance is zero in its cells is covered: where
+two ends touch the surface is tight, and a gap of a cell and more lets the fluid through.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -14,55 +15,83 @@ from mpi4py import MPI
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
+from coudalfish.surface.covering import AROUND, Covering, by_curves, by_surfaces
 from coudalfish.surface.cut_cells import CutCells
-from coudalfish.surface.distance import Curves, Nearest, Sought
+from coudalfish.surface.interface import Interface, Nearest, Sought
 from coudalfish.surface.meeting import Meeting
+from coudalfish.surface.polygons import ZeroSet
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 
-DIVIDED = 1e-5
-"""Share of the area of a node's cells that each part has to have for its pressure to jump."""
 SLIVER = 1e-6
 """Share of a cell below which its velocity is not kinked: it bends as good as nowhere."""
 COVERED = 0.5
-"""Share of the zero line in a node's cells that the curve has to cover."""
+"""Share of where the signed distance is zero in a node's cells that has to be covered."""
 ROUNDED = 1e-9
 """Part of that share that sums in another order may lack."""
 OFF_LINE = 1.0 / 3.0
-"""Distance of the zero line from the curve, relative to that of the cell's farthest node, beyond which it is another
-line, unless a curve crosses the cell where its sign changes: half way between two curves it may change as well."""
-SAMPLES = 16
-"""Places at which a piece of the zero line near a free end is asked whether the curve covers it."""
+"""Distance of where it is zero from the surface, relative to that of the cell's farthest node, beyond which it is
+somewhere else, unless the surface crosses the cell where its sign changes: half way between two of them it may change
+as well."""
 CORRECTIONS = 2
 """How often the signed distance is corrected by its means over the curve around every node."""
 BESIDE = 0.1
 """Distance of the zero line from a place on the curve, relative to the cell, beyond which it is another curve's."""
 ALONG = 1e-12
 """Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
-NEAR = 1.5
-"""Distance from the curve, in sizes of the largest cell, up to which sides are known."""
-REACH = 4.0
-"""The same near its free ends."""
 ON_LINE = 1e-12
-"""Distance, in sizes of the largest cell, within which a node lies on a curve: rounding must not decide on its side."""
+"""Distance, in sizes of the largest cell, within which a node lies on the surface: its side is not left to rounding."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What is not the same in the plane and in space; distances are in sizes of cells.
+
+    Attributes:
+        divided: share of the volume of a node's cells that each part has to have for its pressure to jump.
+        near: distance of a node from the surface up to which its side is known: no cut cell has others.
+        reach: the same near free ends, behind which cells of nodes count that the surface may divide; in sizes of the
+            largest cell of the nodes with which it has a cell in common.
+        continued: how far a surface is continued behind these where its continuation counts as cutting a cell.
+        beyond: distance from these up to which cells that the continuation cuts are known by the signed distance.
+        covering: how what it covers is found.
+        is_local: whether sizes are those of the cells nearby, and not that of the largest cell of the mesh.
+    """
+
+    divided: float
+    near: float
+    reach: float
+    continued: float
+    beyond: float
+    covering: Covering
+    is_local: bool
+
+
+RULES = {
+    2: Rules(1e-5, near=1.5, reach=4.0, continued=4.0, beyond=0.0, covering=by_curves, is_local=False),
+    3: Rules(1e-8, near=1.1, reach=2.5, continued=1.0, beyond=2.0, covering=by_surfaces, is_local=True),
+}
+"""By the dimension of space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """What a curve does to a mesh.
+    """What curves or surfaces do to a mesh.
 
     Attributes:
-        phi: signed distance at the nodes, corrected so that its zero line is where the curve is on average, not a
-            number far away, shape (nodes,); unit: length.
+        phi: signed distance at the nodes, not a number far away, shape (nodes,); unit: length. In the plane it is
+            corrected so that its zero line is where the curve is on average.
         cut: cells in which one of the nodes is enriched, ghosts as well.
+        zero: what is covered of the lines or polygons on which phi is zero, also in cells of which no node is enriched.
         jump: mask of the nodes at which the pressure jumps, shape (nodes,).
         kink: mask of the nodes at which the velocity is kinked, shape (nodes,).
-        velocity: that of the curve at the nodes near it, zero at others, shape (nodes, d); unit: length/time; None: it
-            rests.
+        velocity: that of the surface at the nodes near it, zero at others, shape (nodes, d); unit: length/time; None:
+            it rests.
     """
 
     phi: FloatArray
     cut: CutCells
+    zero: ZeroSet
     jump: Any
     kink: Any
     velocity: FloatArray | None = None
@@ -77,11 +106,18 @@ class Enrichment:
 
 
 class Enriching:
-    """Finds the enrichment of a mesh of triangles by curves.
+    """Finds the enrichment of a mesh of triangles by curves, or of tetrahedra by surfaces.
 
     Args:
         space: scalar linear space of the mesh.
         kinked: whether velocities are kinked; pressures always jump.
+
+    Attributes:
+        x: the nodes, shape (nodes, d); unit: length.
+        vertices: those of the cells, shape (cells, d + 1).
+        corners: where these are, shape (cells, d + 1, d); unit: length.
+        owned: number of the cells that are this rank's, which are the first.
+        sizes: lengths of the longest edges of the cells, in the plane of all of the mesh, shape (cells,).
     """
 
     def __init__(self, space: fem.FunctionSpace, *, kinked: bool) -> None:
@@ -91,16 +127,36 @@ class Enriching:
         self.x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
         self._tree, self._every = cKDTree(self.x), np.arange(len(self.x))
         self.corners = self.x[self.vertices]
+        d = self.x.shape[1]
+        self._rules, self._edges = RULES[d], np.array(list(combinations(range(d + 1), 2)))
         arms = self.corners[:, 1:] - self.corners[:, :1]
-        self._areas = 0.5 * np.abs(np.linalg.det(arms))
-        size = float(np.linalg.norm(arms, axis=2).max(initial=0.0))
-        self.largest = self._comm.allreduce(size, op=MPI.MAX)
+        self._volumes = np.abs(np.linalg.det(arms))  # but for a factor
+        self._set_sizes(space)
         self.owned = compat.owned_cells(space.mesh)
-        nodes, areas = self.vertices[: self.owned], self._areas[: self.owned]
-        self._support = self._total(nodes, np.broadcast_to(areas[:, None], nodes.shape))
+        nodes = self.vertices[: self.owned]
+        self._support = self._total(nodes, self._volumes[: self.owned, None])
+
+    def _set_sizes(self, space: fem.FunctionSpace) -> None:
+        """Longest edges of cells, of the cells of nodes, and of those of the nodes around (collective)."""
+        ends = self.corners[:, self._edges]
+        self.sizes = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
+        self._largest = self._comm.allreduce(float(self.sizes.max(initial=0.0)), op=MPI.MAX)
+        if not self._rules.is_local:
+            self.sizes, self._of_nodes = (np.full(len(of), self._largest) for of in (self.vertices, self.x))
+            self._of_neighbours = self._of_nodes
+            return
+        self._of_nodes = self._largest_around(space, self.sizes)
+        self._of_neighbours = self._largest_around(space, self._of_nodes[self.vertices].max(axis=1))
+
+    def _largest_around(self, space: fem.FunctionSpace, of_cells: FloatArray) -> FloatArray:
+        """The largest values of the cells around every node (collective)."""
+        largest = np.zeros(len(self.x))
+        np.maximum.at(largest, self.vertices, of_cells[:, None])
+        return compat.maximise(space, largest)
 
     def _total(self, nodes: IntArray, values: FloatArray) -> FloatArray:
-        """Sums at all nodes, over the ranks, of values at some of them, which may be the same (collective)."""
+        """Sums at all nodes, over the ranks, of values at nodes of cells, each or one a cell (collective)."""
+        values = np.broadcast_to(values, nodes.shape)
         sums = np.asarray(np.bincount(nodes.ravel(), values.ravel(), len(self.x)), dtype=np.float64)
         if self._comm.size == 1:
             return sums
@@ -108,35 +164,43 @@ class Enriching:
         compat.accumulate(self._sum)
         return np.asarray(self._sum.x.array.copy())
 
-    def __call__(self, curves: Curves, meeting: Meeting | None = None, v: FloatArray | None = None) -> Enrichment:
-        """By curves where they are (collective).
+    @property
+    def nothing(self) -> Enrichment:
+        """That without a surface."""
+        nodes, d = self.x.shape
+        cut = CutCells(np.empty(0, dtype=np.int32), np.empty((0, d + 1)))
+        zero = ZeroSet.of(cut, np.empty((0, d + 1, d)))
+        return Enrichment(np.full(nodes, np.nan), cut, zero, *np.zeros((2, nodes), dtype=bool))
+
+    def __call__(self, interface: Interface, meeting: Meeting | None = None, v: FloatArray | None = None) -> Enrichment:
+        """By curves or surfaces where they are (collective).
 
         Args:
-            curves: the curves.
+            interface: the curves or surfaces.
             meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
             v: velocities of their points, shape (points, d); unit: length/time. None: they rest.
         """
-        phi, near = self._distances(curves)
+        phi, near = self._distances(interface)
         if meeting is not None:
             phi = self._on_line(self._centred(phi, meeting))
         cut = CutCells.of(self.vertices, phi)
-        lengths, share = self._lines(cut, curves)
-        real, nodes = lengths >= 0.0, self.vertices[cut.cells]
+        zero, real, covered = self._covered(cut, interface)
+        nodes, share = self.vertices[cut.cells], cut.negative_share[:, None]
         mine = np.where(real & (cut.cells < self.owned), 1.0, 0.0)[:, None]
-        other = np.where(cut.values < 0.0, 1.0 - cut.negative_share[:, None], cut.negative_share[:, None])
-        other = self._total(nodes, mine * other * self._areas[cut.cells, None])
-        jump = (other > DIVIDED * self._support) & (other < (1.0 - DIVIDED) * self._support)
-        whole, found = lengths[:, None] * mine, (lengths * share)[:, None] * mine
-        of_nodes = np.broadcast_to(whole, nodes.shape), np.broadcast_to(found, nodes.shape)
-        whole, found = (self._total(nodes, values) for values in of_nodes)
-        covered = found >= COVERED * (1.0 - ROUNDED) * whole
-        jump &= covered
+        other = np.where(cut.values < 0.0, 1.0 - share, share)
+        other = self._total(nodes, mine * other * self._volumes[cut.cells, None])
+        least = self._rules.divided
+        jump = (other > least * self._support) & (other < (1.0 - least) * self._support)
+        whole, found = (self._total(nodes, of.of_cells(of.sizes())[:, None] * mine) for of in (zero, covered))
+        enough = found >= COVERED * (1.0 - ROUNDED) * whole
+        jump &= enough
         kink = np.zeros_like(jump)
         if self._kinked:
-            bent = mine * (cut.smaller_share[:, None] > SLIVER)
-            kink = (self._total(nodes, np.broadcast_to(bent, nodes.shape)) > 0.0) & covered
+            bent = np.where(cut.smaller_share[:, None] > SLIVER, mine, 0.0)
+            kink = (self._total(nodes, bent) > 0.0) & enough
         concerned = (jump | kink)[nodes].any(axis=1)
-        return Enrichment(phi, cut.only(real & concerned), jump, kink, None if v is None else near.values(v))
+        velocity = None if v is None else near.values(v)
+        return Enrichment(phi, cut.only(real & concerned), covered, jump, kink, velocity)
 
     def _centred(self, phi: FloatArray, meeting: Meeting) -> FloatArray:
         """Values with a zero line from which the curve departs to both sides alike (collective).
@@ -158,60 +222,56 @@ class Enriching:
 
     def _on_line(self, phi: FloatArray) -> FloatArray:
         """Values of which those are zero that rounding alone keeps from it: 0 counts as positive on every rank."""
-        return np.where(np.abs(phi) <= ON_LINE * self.largest, 0.0, phi)
+        return np.where(np.abs(phi) <= ON_LINE * self._largest, 0.0, phi)
 
-    def _distances(self, curves: Curves) -> tuple[FloatArray, Nearest]:
-        """Signed distances of the nodes, by normals of which those of different curves agree (collective).
+    def _distances(self, interface: Interface) -> tuple[FloatArray, Nearest]:
+        """Signed distances of the nodes, by normals of which those of different sheets agree (collective).
 
-        Half way between two curves the side changes for no reason where their normals do not, and which way they are
+        Half way between two sheets the side changes for no reason where their normals do not, and which way they are
         parametrised must not matter. So of every pair one is turned unless of the edges of the mesh that lead from the
         neighbourhood of the one into that of the other most stay on one side, or have two sides where they cross a
-        curve or its continuation: two curves in one cell are as good as one. The first curve keeps its normals.
+        sheet or its continuation: two sheets in one cell are as good as one. The first one keeps its normals.
         """
-        far, tree = REACH * self.largest, self._tree
-        at_ends = Sought(curves.near_ends(self.x, far, tree), far)
-        near = curves.nearest(self.x, Sought(self._every, NEAR * self.largest, tree), at_ends)
-        phi = self._on_line(near.signed_distance())
-        number = int(curves.chain.curve.max(initial=-1)) + 1
+        far = self._rules.reach * self._of_neighbours
+        ends, nearby = interface.near_ends(self.x, far), self._rules.near * self._of_nodes
+        near = interface.nearest(self.x, Sought(self._every, nearby, self._tree), Sought(ends, far[ends]))
+        phi, number = self._on_line(near.signed_distance()), interface.sheets
         if number < 2:
             return phi, near
-        edges = self.vertices[: self.owned][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        nearest = near.curve()
+        edges = self.vertices[: self.owned][:, self._edges].reshape(-1, 2)
+        nearest = near.sheet()
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
         edges, a, b = edges[between], a[between], b[between]
         negative = phi[edges] < 0.0
-        apart = curves.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far)
+        apart = interface.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far[edges].max(axis=1))
         votes = np.zeros((number, number))
         np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, 1.0, -1.0))
         self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
         turned = agreeing(votes + votes.T)
         return np.where(nearest < 0, phi, turned[nearest] * phi), near
 
-    def _lines(self, cut: CutCells, curves: Curves) -> tuple[FloatArray, FloatArray]:
-        """Lengths of the zero line in cut cells, and the shares of them that the curve covers, shape (cut,).
+    def _covered(self, cut: CutCells, interface: Interface) -> tuple[ZeroSet, Any, ZeroSet]:
+        """Where the signed distance is zero, which cells a surface or its continuation cuts, and what it covers there.
 
-        A length is -1 where no curve or its continuation cuts the cell, but the middle line between two curves that are
-        elsewhere.
+        In other cells the sign changes as they are half way between two surfaces, shape (cut,).
         """
-        ends, n = cut.line(self.corners), len(cut.cells)
-        arms, middle = ends[:, 1] - ends[:, 0], 0.5 * (ends[:, 0] + ends[:, 1])
-        close = curves.near_ends(middle, 2.0 * self.largest)
-        at = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None]
-        samples = (ends[close, None, 0] + at * arms[close, None]).reshape(-1, middle.shape[1])
-        x, in_middle = np.concatenate([middle, samples]), Sought(np.arange(n), OFF_LINE * NEAR * self.largest)
-        near = curves.nearest(x, in_middle, Sought(np.arange(n, len(x)), REACH * self.largest))
-        covered = near.covered().astype(np.float64)
-        share = covered[:n]
-        share[close] = covered[n:].reshape(-1, SAMPLES).mean(axis=1)
-        off = np.abs(near.signed_distance()[:n])
-        real = off <= OFF_LINE * np.abs(cut.values).max(axis=1, initial=0.0)
+        rules, corners, sizes = self._rules, self.corners[cut.cells], self.sizes[cut.cells]
+        zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
+        middles, around = zero.middles(), far[zero.rows]
+        at_ends = interface.near_ends(middles, rules.beyond * around)
+        everywhere = Sought(np.arange(len(middles)), AROUND * sizes[zero.rows])
+        near = interface.nearest(middles, everywhere, Sought(at_ends, rules.reach * around[at_ends]))
+        off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
+        real = zero.of_cells(np.where(off <= OFF_LINE * largest[zero.rows], 0.0, 1.0)) == 0.0
         rest = np.flatnonzero(~real)
-        corners, negative = self.corners[cut.cells[rest]], cut.values[rest] < 0.0
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            crossed = curves.crossed(corners[:, a], corners[:, b], REACH * self.largest)
+        ends, negative = corners[rest], cut.values[rest] < 0.0
+        for a, b in self._edges:
+            crossed = interface.crossed(ends[:, a], ends[:, b], rules.continued * sizes[rest])
             real[rest] |= (negative[:, a] != negative[:, b]) & crossed
-        return np.where(real, np.sqrt(np.einsum("ci,ci->c", arms, arms)), -1.0), share
+        kept = real[zero.rows]
+        covered = rules.covering(zero.only(kept), interface, sizes[zero.rows[kept]], near.covered()[kept])
+        return zero, real, covered
 
 
 def agreeing(votes: FloatArray) -> FloatArray:

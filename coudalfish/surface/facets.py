@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from dolfinx import fem, mesh
 
-from coudalfish.surface.cut_simplices import CutSimplices, SideMoments, rule
+from coudalfish.surface.cut_cells import CutCells, SideMoments, rule
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.simplices import Division
@@ -38,7 +38,7 @@ class FacetWeights:
         self._vertices = np.array([np.delete(sides, side) for side in sides])
         self._solutions: dict[int, FloatArray] = {}
 
-    def __call__(self, cut: CutSimplices) -> tuple[IntArray, FloatArray]:
+    def __call__(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
         """Those cut cells that have a facet on the boundary, and values at their nodes, shape (found, nodes)."""
         there = np.flatnonzero(self._walls[cut.cells])
         cells, kinds, values = cut.cells[there], self._walls[cut.cells[there]], cut.values[there]

@@ -51,8 +51,7 @@ class DividedPlane:
     @property
     def nothing(self) -> Enrichment:
         """See there."""
-        nodes, cut = len(self._enriching.x), CutCells(np.empty(0, dtype=np.int32), np.empty((0, 3)))
-        return Enrichment(np.full(nodes, np.nan), cut, *np.zeros((2, nodes), dtype=bool))
+        return self._enriching.nothing
 
     def weights(self, cut: CutCells) -> FloatArray:
         """See there."""

@@ -1,17 +1,15 @@
 """How surfaces divide a flow in space: where its fields differ, weights of the sides, and where the surfaces see it."""
 
-import numpy as np
 from dolfinx import fem
 
 from coudalfish.surface.boundary import net_in
-from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights
-from coudalfish.surface.enriched_space import EnrichingInSpace, EnrichmentInSpace
+from coudalfish.surface.cut_cells import CutCells, SideWeights
+from coudalfish.surface.enriched import Enriching, Enrichment
 from coudalfish.surface.facets import FacetWeights
 from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.net import Net
 from coudalfish.surface.on_polygons import OnPolygons
-from coudalfish.surface.polygons import ZeroSet
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat
@@ -46,21 +44,19 @@ class DividedSpace:
         kinked: bool,
     ) -> None:
         self._space, self._size, self._kinked = space, size, kinked
-        self._enriching = EnrichingInSpace(space, kinked=kinked)
-        self._weights = SidedWeights(compat.lagrange_degree(weights), compat.node_points(weights))
+        self._enriching = Enriching(space, kinked=kinked)
+        self._weights = SideWeights(compat.lagrange_degree(weights), compat.node_points(weights))
         self._walls = FacetWeights(walls)
         self._net: tuple[Sheets, Net, FloatArray] | None = None
 
-    def __call__(
-        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray
-    ) -> tuple[EnrichmentInSpace, Meeting]:
+    def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
         if self._net is None or self._net[0] is not sheets:
             net = net_in(self._space.mesh, sheets, ATTACHED * self._size)
             self._net = sheets, net, Surfaces(sheets.X, net).triangles.areas
         _, net, at_rest = self._net
         surfaces = Surfaces(x, net)
-        found = self._enriching(surfaces, v if self._kinked else None)
+        found = self._enriching(surfaces, v=v if self._kinked else None)
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
         points = owned.quadrature(QUADRATURE)
         hats, areas = points.on(
@@ -73,16 +69,14 @@ class DividedSpace:
         return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)
 
     @property
-    def nothing(self) -> EnrichmentInSpace:
+    def nothing(self) -> Enrichment:
         """See there."""
-        nodes, cut = len(self._enriching.x), CutSimplices(np.empty(0, dtype=np.int32), np.empty((0, 4)))
-        zero = ZeroSet.of(cut, np.empty((0, 4, 3)))
-        return EnrichmentInSpace(np.full(nodes, np.nan), cut, zero, *np.zeros((2, nodes), dtype=bool))
+        return self._enriching.nothing
 
-    def weights(self, cut: CutSimplices) -> FloatArray:
+    def weights(self, cut: CutCells) -> FloatArray:
         """See there."""
         return self._weights(cut)
 
-    def on_walls(self, cut: CutSimplices) -> tuple[IntArray, FloatArray]:
+    def on_walls(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
         """See there."""
         return self._walls(cut)

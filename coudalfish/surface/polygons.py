@@ -1,49 +1,23 @@
-"""Where a linear function is zero in cut cells: points and areas to integrate over it, and what a surface covers of it.
+"""Where a linear function is zero in cut cells, and points and areas to integrate over it.
 
 In a triangle it is a line, in a tetrahedron a triangle or a quadrilateral, which is made of two triangles.
 """
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from coudalfish.surface.cut_simplices import CutSimplices, rule
-from coudalfish.surface.distance import Sought
+from coudalfish.surface.cut_cells import CutCells, rule
+from coudalfish.surface.interface import Sought
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem.simplices import Division
+from tigar_x.fem.simplices import Parts
 
-FINER = 4
-"""Parts of an edge into which is divided what may lie on a free edge of a surface: narrower gaps are none."""
-
-
-class Covering(Protocol):
-    """Nearest places of a surface to points, see :class:`coudalfish.surface.surfaces.NearestOnSurfaces`."""
-
-    def covered(self) -> Any:
-        """Whether they are not beyond a free edge, shape (m,)."""
-
-    def margin(self, reach: FloatArray) -> FloatArray:
-        """Distance to the next free edge along the surface, negative beyond, at most a reach, shape (m,)."""
-
-    def functions(self) -> sp.csr_matrix:
-        """Hat functions of the surface's points, shape (m, points)."""
-
-    def of_triangles(self, values: FloatArray) -> FloatArray:
-        """Values of the nearest triangles, shape (triangles,) -> (m,)."""
-
-
-class Covers(Protocol):
-    """A surface, see :class:`coudalfish.surface.surfaces.Surfaces`."""
-
-    def nearest(self, x: FloatArray, *sought: Sought) -> Covering:
-        """Nearest places to points."""
-
-    def from_ends(self, x: FloatArray, reach: FloatArray) -> FloatArray:
-        """Distances of points from free edges, infinite where they are farther than a reach."""
+if TYPE_CHECKING:
+    from coudalfish.surface.surfaces import Surfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +31,7 @@ class ZeroSet:
         barycentric: coordinates of its vertices there, shape (n, d, d + 1).
     """
 
-    cut: CutSimplices
+    cut: CutCells
     corners: FloatArray
     rows: IntArray
     barycentric: FloatArray
@@ -66,7 +40,7 @@ class ZeroSet:
         checks.freeze(self)
 
     @classmethod
-    def of(cls, cut: CutSimplices, corners: FloatArray) -> "ZeroSet":
+    def of(cls, cut: CutCells, corners: FloatArray) -> "ZeroSet":
         """All of cut cells; arguments as the attributes."""
         d = corners.shape[2]
         rows, simplices = [np.empty(0, dtype=np.int64)], [np.empty((0, d, d + 1))]
@@ -111,43 +85,30 @@ class ZeroSet:
         """Of the simplices, shape (n, d)."""
         return self.places(self.barycentric.mean(axis=1))
 
-    def covered_by(self, surface: Covers, reach: FloatArray | float, covered: Any = None) -> "ZeroSet":
-        """What of it a surface covers.
+    def divided(self, parts: int) -> tuple["ZeroSet", FloatArray, IntArray]:
+        """The same of smaller simplices, whose edges are divided into a number of parts.
+
+        Returns:
+            The small ones, those of the first simplex first; points at their corners, as many of each simplex, shape
+            (n, points, d + 1); and which of these each of the small ones has, shape (small ones of a simplex, d).
+        """
+        d = self.barycentric.shape[1]
+        lattice, table = _divided(d - 1, parts)
+        points = lattice @ self.barycentric
+        small = points[:, table].reshape(-1, d, d + 1)
+        return ZeroSet(self.cut, self.corners, np.repeat(self.rows, len(table)), small), points, table
+
+    def parts(self, parts: Parts, chosen: Any) -> "ZeroSet":
+        """Parts of the simplices.
 
         Args:
-            surface: the surface.
-            reach: distance of the surface beyond which it covers nothing, one for each cut cell or for all; unit:
-                length.
-            covered: whether the middles of the simplices are, if that is known already, shape (n,).
+            parts: of simplices whose corners are those of these.
+            chosen: mask of the simplices that are divided, of which parts are taken, shape (divided,).
         """
-        middles, reach = self.middles(), np.broadcast_to(reach, len(self.cut.cells))
-        if covered is None:
-            covered = surface.nearest(middles, Sought(np.arange(len(middles)), reach[self.rows])).covered()
-        radius = np.sqrt(((self.places(self.barycentric) - middles[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
-        at_end = surface.from_ends(middles, radius) <= radius
-        clipped = self.only(at_end)._clipped(surface, reach[self.rows[at_end]], 2.0 * radius[at_end])
-        return self.only(covered & ~at_end).joined(clipped)
-
-    def _clipped(self, surface: Covers, reach: FloatArray, size: FloatArray) -> "ZeroSet":
-        """The same, divided into small simplices of which those are cut that lie on a free edge."""
-        d = self.barycentric.shape[1]
-        lattice, table = _divided(d - 1, FINER)
-        points = lattice @ self.barycentric
-        x = self.places(points).reshape(-1, d)
-        reach, size = np.repeat(reach, len(lattice)), np.repeat(size, len(lattice))
-        margin = surface.nearest(x, Sought(np.arange(len(x)), reach)).margin(size).reshape(points.shape[:2])
-        rows = np.repeat(self.rows, len(table))
-        margin, simplices = margin[:, table].reshape(-1, d), points[:, table].reshape(-1, d, d + 1)
-        whole, part = (margin >= 0.0).all(axis=1), (margin < 0.0).any(axis=1) & (margin >= 0.0).any(axis=1)
-        result = ZeroSet(self.cut, self.corners, rows[whole], simplices[whole])
-        division = Division(margin[part])
-        for positive, parts in ((~division.of_negative, division.smaller), (division.of_negative, division.larger)):
-            for of in parts:
-                chosen = positive[of.rows]
-                inside = of.barycentric[chosen] @ simplices[part][of.rows[chosen], None]
-                number = np.repeat(rows[part][of.rows[chosen]], inside.shape[1])
-                result = result.joined(ZeroSet(self.cut, self.corners, number, inside.reshape(-1, d, d + 1)))
-        return result
+        there = chosen[parts.rows]
+        inside = parts.barycentric[there] @ self.barycentric[parts.rows[there], None]
+        rows = np.repeat(self.rows[parts.rows[there]], inside.shape[1])
+        return ZeroSet(self.cut, self.corners, rows, inside.reshape(-1, *self.barycentric.shape[1:]))
 
     def quadrature(self, degree: int = 2) -> "ZeroPoints":
         """Points to integrate over it, of the simplices in their order, as many in each.
@@ -186,7 +147,9 @@ class ZeroPoints:
     def __post_init__(self) -> None:
         checks.freeze(self)
 
-    def on(self, surface: Covers, stretch: FloatArray, reach: FloatArray | float) -> tuple[sp.csr_matrix, FloatArray]:
+    def on(
+        self, surface: "Surfaces", stretch: FloatArray, reach: float | FloatArray
+    ) -> tuple[sp.csr_matrix, FloatArray]:
         """What of a surface the points stand for.
 
         Args:

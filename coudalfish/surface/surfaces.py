@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from coudalfish.surface.distance import SAME_DISTANCE, Sought
+from coudalfish.surface.interface import SAME_DISTANCE, Sought
 from coudalfish.surface.net import OPPOSITE, Net
 from coudalfish.surface.triangles import CORNER, EDGE, FACE, NearPlaces, Triangles
 from tigar_x import checks
@@ -37,6 +37,11 @@ class Surfaces:
 
     def __post_init__(self) -> None:
         checks.freeze(self)
+
+    @property
+    def sheets(self) -> int:
+        """Number of the connected surfaces."""
+        return int(self.net.sheet.max(initial=-1)) + 1
 
     @cached_property
     def triangles(self) -> Triangles:
@@ -317,11 +322,8 @@ class NearestOnSurfaces:
             inner[k] = corners.in_plane(x, self.triangle[k])
         net, count = self.surfaces.net, np.bincount(self.point, minlength=self.count)
         values = inner / count[self.point, None]
-        starts = 3 * np.append(0, np.cumsum(count))
-        shape = (self.count, net.functions.shape[0])
-        return (
-            sp.csr_matrix((values.ravel(), net.triangles[self.triangle].ravel(), starts), shape=shape) @ net.functions
-        )
+        entries = values.ravel(), net.triangles[self.triangle].ravel(), 3 * np.append(0, np.cumsum(count))
+        return sp.csr_matrix(entries, shape=(self.count, net.functions.shape[0])) @ net.functions
 
     def values(self, of_points: FloatArray) -> FloatArray:
         """Values at the nearest places, and of what continues the surfaces behind edges at which they end.

@@ -7,11 +7,10 @@ places of a path that ascends through the table of (i, j): one tetrahedron and o
 one vertex is alone, three and two if there are two on either side.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from dolfinx import fem
@@ -38,10 +37,16 @@ class Parts:
     def __post_init__(self) -> None:
         checks.freeze(self)
 
-    @cached_property
-    def shares(self) -> FloatArray:
-        """Volumes relative to the divided simplices, of parts that are no smaller in dimension, shape (n, parts)."""
-        return np.abs(np.linalg.det(self.barycentric))
+
+@dataclass(frozen=True, eq=False)
+class SideParts(Parts):
+    """Those of which sides are made.
+
+    Attributes:
+        shares: volumes relative to the divided simplices, shape (n, parts).
+    """
+
+    shares: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,28 +63,29 @@ class Division:
         checks.freeze(self)
 
     @cached_property
-    def _negative(self) -> Any:
-        return self.values < 0.0
+    def _pattern(self) -> IntArray:
+        """Which vertices are negative, by bits, shape (n,)."""
+        return np.asarray((self.values < 0.0) @ (1 << np.arange(self.values.shape[1])))
 
     @cached_property
     def of_negative(self) -> Any:
         """Whether it is the negative side that has fewer vertices, or as many as the other one, shape (n,)."""
-        return 2 * self._negative.sum(axis=1) <= self.values.shape[1]
+        return _patterns(self.values.shape[1])[0][self._pattern]
 
     @cached_property
-    def smaller(self) -> tuple[Parts, ...]:
+    def smaller(self) -> tuple[SideParts, ...]:
         """Parts of the sides that have fewer vertices, for each number of these that occurs."""
-        return self._parts(_of_smaller)
+        return tuple(places.parts(*_of_smaller(*places.counts)) for places in self._places)
 
     @cached_property
-    def larger(self) -> tuple[Parts, ...]:
+    def larger(self) -> tuple[SideParts, ...]:
         """Parts of the other sides."""
-        return self._parts(_of_larger)
+        return tuple(places.parts(*_of_larger(*places.counts)) for places in self._places)
 
     @cached_property
     def zero(self) -> tuple[Parts, ...]:
         """Parts of where the function is zero, simplices with one vertex less."""
-        return self._parts(_of_zero)
+        return tuple(Parts(places.rows, places.points[:, _of_zero(*places.counts)]) for places in self._places)
 
     @cached_property
     def smaller_share(self) -> FloatArray:
@@ -89,27 +95,47 @@ class Division:
             share[parts.rows] = parts.shares.sum(axis=1)
         return share
 
-    def _parts(self, table: Callable[[int, int], IntArray]) -> tuple[Parts, ...]:
-        return tuple(Parts(rows, points[:, table(k, points.shape[2] - k)]) for k, rows, points in self._points)
-
     @cached_property
-    def _points(self) -> list[tuple[int, IntArray, FloatArray]]:
-        """Number k of vertices on the smaller side, simplices with as many, and coordinates of all a, b and e there."""
+    def _places(self) -> list["_Places"]:
         vertices = self.values.shape[1]
-        few = np.where(self.of_negative[:, None], self._negative, ~self._negative)
-        count, order = few.sum(axis=1), _orders(vertices)[few @ (1 << np.arange(vertices))]
-        found = []
+        _, count, order = _patterns(vertices)
+        found, count = [], count[self._pattern]
         for k in range(1, vertices // 2 + 1):
             rows = np.flatnonzero(count == k)
             if not len(rows):
                 continue
-            values, corners = np.take_along_axis(self.values[rows], order[rows], 1), np.eye(vertices)[order[rows]]
+            places = order[self._pattern[rows]]
+            values, corners = np.take_along_axis(self.values[rows], places, 1), np.eye(vertices).take(places, axis=0)
             a, b = values[:, :k, None], values[:, None, k:]
-            t = (a / (a - b))[..., None]
-            between = (1.0 - t) * corners[:, :k, None] + t * corners[:, None, k:]
+            t = a / (a - b)
+            between = (1.0 - t)[..., None] * corners[:, :k, None] + t[..., None] * corners[:, None, k:]
             points = np.concatenate([corners, between.reshape(len(rows), -1, vertices)], axis=1)
-            found.append((k, rows, points))
+            found.append(_Places((k, vertices - k), rows, points, t.reshape(len(rows), -1)))
         return found
+
+
+class _Places(NamedTuple):
+    """Points in which simplices are divided that have as many vertices on the smaller side.
+
+    Attributes:
+        counts: of the vertices on both sides, k and m.
+        rows: the simplices, shape (n,).
+        points: coordinates of all a, b and e, shape (n, k + m + k m, k + m).
+        t: coordinates of the e that belong to b, those of a are one minus them, shape (n, k m).
+    """
+
+    counts: tuple[int, int]
+    rows: IntArray
+    points: FloatArray
+    t: FloatArray
+
+    def parts(self, table: IntArray, factors: IntArray) -> SideParts:
+        """See :func:`_of_smaller`."""
+        corners, n = sum(self.counts), self.points.shape[1]
+        coordinates = np.ones((len(self.rows), 2 * n))
+        coordinates[:, corners:n], coordinates[:, n + corners :] = 1.0 - self.t, self.t
+        shares = coordinates.take(factors, axis=1).prod(axis=2)
+        return SideParts(self.rows, self.points.take(table, axis=1), shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,16 +203,22 @@ class Sided(Protocol):
 
 
 @cache
-def _orders(vertices: int) -> IntArray:
-    """For every set of vertices, by its bits, these first and then the others, as an even permutation."""
-    orders = []
-    for bits in range(1 << vertices):
-        inside = [v for v in range(vertices) if bits >> v & 1]
-        order = inside + [v for v in range(vertices) if v not in inside]
-        if vertices > 2 and np.linalg.det(np.eye(vertices)[order]) < 0.0:
-            order[-2:] = order[:-3:-1]
-        orders.append(order)
-    return np.array(orders)
+def _patterns(vertices: int) -> tuple[Any, IntArray, IntArray]:
+    """What follows from which vertices are negative, by their bits.
+
+    Returns:
+        Whether the side that has fewer vertices is the negative one, how many vertices that side has, and all vertices,
+        those of that side first, as an even permutation.
+    """
+    bits = np.arange(1 << vertices)
+    negative = (bits[:, None] >> np.arange(vertices) & 1).astype(bool)
+    of_negative = 2 * negative.sum(axis=1) <= vertices
+    few = negative == of_negative[:, None]
+    order = np.argsort(~few, axis=1, kind="stable")
+    if vertices > 2:
+        odd = np.linalg.det(np.eye(vertices)[order]) < 0.0
+        order[odd, -2:] = order[odd, :-3:-1]
+    return of_negative, few.sum(axis=1), order
 
 
 def _paths(rows: int, columns: int) -> IntArray:
@@ -198,18 +230,25 @@ def _paths(rows: int, columns: int) -> IntArray:
 
 
 @cache
-def _of_smaller(k: int, m: int) -> IntArray:
-    """Numbers of the points of :attr:`Division._points` in its parts, shape (parts, vertices)."""
+def _of_smaller(k: int, m: int) -> tuple[IntArray, IntArray]:
+    """Numbers of the points in its parts, shape (parts, vertices), and those of the factors of their shares.
+
+    Every point of a path but the first is the first one that has a part of a certain vertex, of an a if the path goes
+    down and of a b if it goes right. So the volume is the product of these parts, which are numbered as the points are,
+    those of a before those of b, shape (parts, vertices - 1).
+    """
     i, j = np.moveaxis(_paths(k, m + 1), -1, 0)
-    return _turned(np.where(j == 0, i, k + m + i * m + j - 1), k, m)
+    points = np.where(j == 0, i, k + m + i * m + j - 1)
+    return _turned(points, k, m), points[:, 1:] + np.diff(j) * (k + m + k * m)
 
 
 @cache
-def _of_larger(k: int, m: int) -> IntArray:
-    """The same of the other side, which is the product of simplices of m and k + 1 vertices."""
-    j, i = np.moveaxis(_paths(m, k + 1), -1, 0)
-    j = m - 1 - j
-    return _turned(np.where(i == 0, k + j, k + m + (i - 1) * m + j), k, m)
+def _of_larger(k: int, m: int) -> tuple[IntArray, IntArray]:
+    """The same of the other side, the product of simplices of m and k + 1 vertices: a path goes down to a b."""
+    down, i = np.moveaxis(_paths(m, k + 1), -1, 0)
+    j = m - 1 - down
+    points = np.where(i == 0, k + j, k + m + (i - 1) * m + j)
+    return _turned(points, k, m), points[:, 1:] + np.diff(down) * (k + m + k * m)
 
 
 @cache
@@ -223,6 +262,6 @@ def _turned(table: IntArray, k: int, m: int) -> IntArray:
     """The same simplices in the direction in which the divided one goes."""
     corners = np.eye(k + m)
     middles = 0.5 * (corners[:k, None] + corners[k:]).reshape(-1, k + m)
-    against = np.linalg.det(np.concatenate([corners, middles])[table]) < 0.0
+    against, table = np.linalg.det(np.concatenate([corners, middles])[table]) < 0.0, table.copy()
     table[against, -2:] = table[against, :-3:-1]
     return table

@@ -1,12 +1,11 @@
-"""Triangles and tetrahedra that a surface cuts: weights that integrate over their sides."""
+"""Triangles and tetrahedra that a curve or a surface cuts: weights that integrate over their sides."""
 
 from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
 
-from coudalfish.surface import cut_cells
-from coudalfish.surface.cut_simplices import CutSimplices, SidedWeights, rule
+from coudalfish.surface.cut_cells import CutCells, SideWeights, rule
 from varmint.flow.sides import DEGREE
 
 RNG = np.random.default_rng(7)
@@ -22,7 +21,7 @@ CASES = [(d, values) for d in VALUES for values in VALUES[d]]
 
 def cut_of(values):
     values = np.asarray(values, dtype=float)
-    return CutSimplices.of(np.arange(len(values))[None], values)
+    return CutCells.of(np.arange(len(values))[None], values)
 
 
 AT, WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -66,7 +65,7 @@ def test_weights_integrate_over_the_side(d, values, degree):
     """Times all polynomials of degree k, at the points of any rule of degree 2 k, as over the side itself."""
     x, w = rule(d, 2 * degree)
     cut = cut_of(values)
-    c = SidedWeights(degree, x)(cut)[0]
+    c = SideWeights(degree, x)(cut)[0]
     powers = np.array([p for p in product(range(degree + 1), repeat=d) if sum(p) <= degree])
 
     def f(y):
@@ -76,20 +75,9 @@ def test_weights_integrate_over_the_side(d, values, degree):
     np.testing.assert_allclose(cut.negative_share, w @ c / w.sum(), atol=1e-13)
 
 
-@pytest.mark.parametrize("degree", [2, 4])
-def test_triangles_have_the_weights_that_they_had(degree):
-    phi = RNG.standard_normal(60)
-    vertices, points = RNG.permutation(60).reshape(20, 3), rule(2, 4)[0]
-    new, old = CutSimplices.of(vertices, phi), cut_cells.CutCells.of(vertices, phi)
-    np.testing.assert_array_equal(new.cells, old.cells)
-    np.testing.assert_allclose(new.negative_share, old.negative_share, rtol=0, atol=1e-15)
-    found, expected = SidedWeights(degree, points)(new), cut_cells.SideWeights(degree, points)(old)
-    np.testing.assert_allclose(found, expected, atol=1e-11)
-
-
 def test_what_is_unknown_is_not_cut():
     phi = np.array([0.0, 1.0, 2.0, -1.0, np.nan])
-    cut = CutSimplices.of(np.array([[0, 1, 2, 1], [0, 1, 2, 3], [3, 1, 2, 4]]), phi)
+    cut = CutCells.of(np.array([[0, 1, 2, 1], [0, 1, 2, 3], [3, 1, 2, 4]]), phi)
     np.testing.assert_array_equal(cut.cells, [1])
     np.testing.assert_array_equal(cut.only(np.array([False])).cells, [])
 
@@ -102,11 +90,11 @@ def test_masses_of_both_sides_are_positive_however_cells_are_cut(d, kind):
     rng = np.random.default_rng(d)
     signs = np.array([s for s in product((-1, 1), repeat=d + 1) if len(set(s)) == 2])
     values = np.tile(signs, (20, 1)) * 10.0 ** rng.uniform(-4.0, 0.0, (20 * len(signs), d + 1))
-    cut = CutSimplices(np.arange(len(values)), values)
+    cut = CutCells(np.arange(len(values)), values)
     least = []
     for degree in (DEGREE[kind], DEGREE[kind] - 1):
         x, w = rule(d, 2 * DEGREE[kind])
-        negative, N = SidedWeights(degree, x)(cut), np.column_stack([1.0 - x.sum(axis=1), x])
+        negative, N = SideWeights(degree, x)(cut), np.column_stack([1.0 - x.sum(axis=1), x])
         found = []
         for s, weight in ((-1.0, negative), (1.0, 1.0 - negative)):
             fields = np.broadcast_to(N, (len(values), *N.shape))
