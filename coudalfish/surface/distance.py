@@ -73,8 +73,11 @@ class Curves:
             sought: of which of them, at least one; of points that are sought twice the last reach counts.
         """
         tangents, lengths = self.tangents
-        half, limit, pairs = 0.5 * float(lengths.max(initial=0.0)), np.zeros(len(x)), []
+        half, limit, none = 0.5 * float(lengths.max(initial=0.0)), np.zeros(len(x)), np.empty(0, dtype=np.int64)
+        pairs = [(none, none)]
         for one in sought:
+            if not len(one.points):
+                continue
             limit[one.points] = one.reach
             tree = cKDTree(x[one.points]) if one.tree is None else one.tree
             near = tree.sparse_distance_matrix(
@@ -84,7 +87,8 @@ class Curves:
         i, k = (np.concatenate(part) for part in zip(*pairs, strict=True))
         group, order = _grouped(i, len(x))
         i, k = i[order], k[order]
-        arms, t = x[i] - self.x[self.chain.segments[k, 0]], tangents[k]
+        starts = self.x[self.chain.segments[:, 0]]
+        arms, t = x.take(i, axis=0) - starts.take(k, axis=0), tangents.take(k, axis=0)
         along = np.einsum("pi,pi->p", arms, t)
         gap = arms - np.clip(along, 0.0, lengths[k])[:, None] * t
         distance = np.sqrt(np.einsum("pi,pi->p", gap, gap))
@@ -101,11 +105,12 @@ class Curves:
             end: where they end.
             reach: how far curves are continued, or how far for each line; unit: length.
         """
-        result, reach = np.zeros(len(start), dtype=bool), np.broadcast_to(reach, len(start))
-        farthest = float(reach.max(initial=0.0))
-        a, b, from_end = self._continued(farthest)
-        if not len(start) or not len(a):
+        result = np.zeros(len(start), dtype=bool)
+        if not len(start) or not len(self.chain.segments):
             return result
+        reach = np.broadcast_to(reach, len(start))
+        farthest = float(reach.max())
+        a, b, from_end = self._continued(farthest)
         longest = np.linalg.norm(end - start, axis=1).max() + np.linalg.norm(b - a, axis=1).max()
         lines, curve = cKDTree(0.5 * (start + end)), cKDTree(0.5 * (a + b))
         near = lines.sparse_distance_matrix(curve, 0.5 * longest, output_type="ndarray")
@@ -132,10 +137,11 @@ class Curves:
             x: points, shape (m, d); unit: length.
             reach: the distance, or one for each point; unit: length.
         """
-        near, limit = np.zeros(len(x), dtype=bool), np.square(reach)
+        near, reach = np.zeros(len(x), dtype=bool), np.broadcast_to(reach, len(x))
         for end in self.x[self.chain.free]:
-            gap = x - end
-            near |= np.einsum("pi,pi->p", gap, gap) <= limit
+            beside = np.flatnonzero(np.abs(x[:, 0] - end[0]) <= reach)
+            gap = x[beside] - end
+            near[beside[np.einsum("pi,pi->p", gap, gap) <= reach[beside] ** 2]] = True
         return np.flatnonzero(near)
 
 

@@ -264,11 +264,10 @@ class Enriching:
         near = interface.nearest(middles, everywhere, Sought(at_ends, rules.reach * around[at_ends]))
         off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
         real = zero.of_cells(np.where(off <= OFF_LINE * largest[zero.rows], 0.0, 1.0)) == 0.0
-        rest = np.flatnonzero(~real)
-        ends, negative = corners[rest], cut.values[rest] < 0.0
-        for a, b in self._edges:
-            crossed = interface.crossed(ends[:, a], ends[:, b], rules.continued * sizes[rest])
-            real[rest] |= (negative[:, a] != negative[:, b]) & crossed
+        a, b = self._edges.T
+        cell, edge = np.nonzero(((cut.values[:, a] < 0.0) != (cut.values[:, b] < 0.0)) & ~real[:, None])
+        start, end = corners[cell, a[edge]], corners[cell, b[edge]]
+        real[cell[interface.crossed(start, end, rules.continued * sizes[cell])]] = True
         kept = real[zero.rows]
         covered = rules.covering(zero.only(kept), interface, sizes[zero.rows[kept]], near.covered()[kept])
         return zero, real, covered
