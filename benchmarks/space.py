@@ -21,6 +21,7 @@ import numpy as np
 import ufl
 from plane import COMM, DISCHARGE, Coupled, Found, Setting, immersed_flow, rigid
 
+from coudalfish.surface import exchange
 from shnapr import ContactRecipe, LinearKernel, Shell, StVenantKirchhoff
 from shnapr.supports import fixed
 from tigar_x import compat, generalized_alpha
@@ -194,8 +195,7 @@ VALVE_NUMBERS = HeldSurface(n=8, dt=1e-4, steps=200, ramp=0, mu=0.04, jump=1e5, 
 
 def along_normals(scene: Coupled) -> FloatArray:
     """The multiplier along the normals at the points."""
-    lam = scene.fsi.lam
-    return lam if lam.ndim == 1 else np.einsum("qi,qi->q", lam, scene.fsi.shell.normals())
+    return exchange.along_normals(scene.fsi.lam, scene.fsi.shell.normals())
 
 
 def iterations(scene: Coupled) -> float:

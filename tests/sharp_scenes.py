@@ -1,4 +1,4 @@
-"""A membrane and a plane valve in flows that differ on both sides of them: a program that prints what steps give.
+"""A membrane, a plane valve and a dome in flows that differ on both sides of them: a program that prints what steps give.
 
 Without tolerances of the solvers, so that nothing but rounding may depend on the number of ranks.
 """
@@ -7,6 +7,7 @@ import json
 import sys
 
 import numpy as np
+from dome import dome
 from mpi4py import MPI
 from on_disk import ROOT
 
@@ -35,6 +36,12 @@ def valve(steps=4, elements=8):
     return flow, shell, fsi, [fsi.takeStep().passes for _ in range(steps)]
 
 
+def sheet(steps=3):
+    """A dome in space that gives way to a pressure."""
+    s = dome(options=TIGHT)
+    return s.flow, s.shell, s.fsi, [s.fsi.takeStep().passes for _ in range(steps)]
+
+
 def figures(flow, shell, fsi, passes):
     """Lists of numbers by name that do not depend on how the mesh is numbered."""
     time, V = flow.time, flow.V
@@ -51,7 +58,7 @@ def figures(flow, shell, fsi, passes):
 
 def main():
     """All scenes; prints on the first rank."""
-    results = {scene.__name__: figures(*scene()) for scene in (membrane, valve)}
+    results = {scene.__name__: figures(*scene()) for scene in (membrane, valve, sheet)}
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(results))
     return results

@@ -48,7 +48,7 @@ def test_ranks_may_be_more_than_cells(tmp_path):
 
 
 def test_fields_that_differ_on_both_sides_do_not_depend_on_the_number_of_ranks():
-    """A membrane and a valve that opens, each step solved as far as rounding allows; the leaflets are mirror images."""
+    """A membrane, an opening valve, a dome, each step solved as far as rounding allows; leaflets are mirror images."""
     expected = sharp_scenes.main()
     for ranks in (2, 3):
         done = mpirun(ranks, ROOT / "tests" / "sharp_scenes.py")

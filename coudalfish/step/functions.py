@@ -132,10 +132,10 @@ class Functions:
         """Forces per area of the functions along normals and across them, shape (points 3, functions 3)."""
         n, N = self._signs[:, None] * n, self._N.tocoo()
         values = np.empty((N.nnz, 3, 3))
-        values[:, :, 0] = n[N.row]
+        of = values[:, :, 0] = n[N.row]
         for k, direction in enumerate(self._across(n), 1):
             t = direction[N.col]
-            values[:, :, k] = t - np.einsum("pi,pi->p", t, n[N.row])[:, None] * n[N.row]
+            values[:, :, k] = t - along_normals(t, of)[:, None] * of
         values *= N.data[:, None, None]
         row = np.broadcast_to((3 * N.row)[:, None, None] + np.arange(3)[:, None], values.shape)
         column = np.broadcast_to((3 * N.col)[:, None, None] + np.arange(3), values.shape)

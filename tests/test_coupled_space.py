@@ -1,0 +1,99 @@
+"""Surfaces in flows of tetrahedra whose fields differ on both sides of them, coupled."""
+
+import numpy as np
+import pytest
+import restarted
+from mpi4py import MPI
+from dome import TIGHT, dome
+from space import IN_SPACE, HeldSurface, Sphere
+from surface import setting_of
+
+from coudalfish import CouplingOptions
+from coudalfish.restart import CoupledState
+from coudalfish.step import condensed
+from tigar_x.fem.linear import SolveError
+from tigar_x.run.restart import Restart
+
+pytestmark = pytest.mark.mpi
+JUMP = CouplingOptions.converged(trace="nodes", fluid_tangent="consistent", block_rtol=1e-10, block_atol=1e-14)
+
+
+@pytest.mark.parametrize("jump", [1.0, 1e5])
+@pytest.mark.parametrize("name", ["jump", "sharp"])
+def test_a_curved_surface_and_a_pressure_that_jumps_are_in_equilibrium(name, jump):
+    """Normals of the shell in place of those of the cut leave velocities of 2e-3 at a jump of one, and 46 at 1e5."""
+    scene = HeldSurface(4, dt=0.05 * jump**-0.5, ramp=1, steps=2, jump=jump)
+    found = scene.run(setting_of(f"{name}(block_rtol=1e-8)", IN_SPACE))
+    assert found.passes.max() == 1
+    assert found.imbalance < 1e-13
+    for what, limit in {"velocity": 1e-8, "leak": 1e-8, "load": 1e-4, "pattern": 1e-4}.items():
+        assert abs(found.figures[what]) < limit, what
+    assert found.figures["pressure"] < 0.08  # plain fields: .2
+
+
+def test_walls_that_the_flow_sticks_to_hold_as_well():
+    found = HeldSurface(4, dt=0.05, ramp=1, steps=2, weak=True).run(setting_of("sharp", IN_SPACE))
+    assert found.passes.max() == 1
+    assert found.figures["velocity"] < 2e-3
+
+
+@pytest.mark.parametrize("case", ["jump", "sharp"])
+def test_an_elastic_sheet_moves_with_the_fluid_in_one_pass(case):
+    s = dome(*{"jump": ("jump", JUMP), "sharp": ("jump and kink", TIGHT)}[case])
+    before = s.shell.positions.copy()
+    for _ in range(4):
+        report = s.fsi.takeStep()
+        assert report.attempts == 1
+        assert report.passes <= 3
+        assert report.monitors.force_imbalance < 1e-12
+        assert abs(report.monitors.leak) < 1e-2 * report.monitors.normal_slip_max
+    moved = s.shell.positions - before
+    assert moved[:, 2].min() < -1e-3
+    assert moved[:, 2].max() < 1e-4
+    speeds = s.fsi.lam if case == "jump" else s.fsi.lam[:, 2]
+    assert np.abs(speeds).max() < 2.0 * 0.3
+
+
+def test_the_unknowns_of_a_step_are_where_newtons_method_ends(monkeypatch):
+    """A wrong derivative by the forces on the nodes would leave more than a square of the first residual."""
+    s = dome(options=TIGHT)
+    for _ in range(3):
+        report = s.fsi.takeStep()
+        first, second = (norms[0] for norms in report.residuals[:2])
+        assert second < 2e-3 * first
+
+
+def test_a_step_that_fails_falls_back_and_the_next_one_goes_on(monkeypatch):
+    s = dome(options=CouplingOptions.sharp())
+    s.fsi.takeStep()
+
+    def fails(self, *arguments):
+        raise SolveError("no solution")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(condensed.CondensedSystem, "solve", fails)
+        assert s.fsi.takeStep().attempts == 4
+    assert s.fsi.takeStep().attempts == 1
+
+
+@pytest.mark.parametrize("immersed", ["jump", "jump and kink"])
+def test_a_run_goes_on_from_a_checkpoint(immersed, tmp_path):
+    options = TIGHT if immersed == "jump and kink" else JUMP
+    folder = MPI.COMM_WORLD.bcast(tmp_path, root=0)
+    whole, first, second = (dome(immersed, options).fsi for _ in range(3))
+    for _ in range(4):
+        whole.takeStep()
+    for _ in range(2):
+        first.takeStep()
+    Restart(folder, CoupledState(first), every=1).write()
+    Restart(folder, CoupledState(second), every=1).read()
+    for _ in range(2):
+        second.takeStep()
+    for one, other in zip(restarted.norms(whole), restarted.norms(second), strict=True):
+        assert other == pytest.approx(one, rel=1e-10, abs=1e-13)
+
+
+def test_a_closed_sphere_keeps_what_is_in_it():
+    """With a multiplier that lags a twentieth of it is lost."""
+    found = Sphere(6, steps=3).run(setting_of("sharp", IN_SPACE))
+    assert abs(found.figures["volume"]) < 1e-3
