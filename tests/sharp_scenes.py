@@ -7,8 +7,8 @@ import json
 import sys
 
 import numpy as np
-from dome import dome
 from mpi4py import MPI
+from dome import dome
 from on_disk import ROOT
 
 from coudalfish import CouplingOptions
