@@ -1,4 +1,4 @@
-"""A membrane, a plane valve and a dome in flows that differ on both sides of them: a program that prints what steps give.
+"""A membrane, a plane valve and a dome in flows that differ on both sides of them: prints what steps give.
 
 Without tolerances of the solvers, so that nothing but rounding may depend on the number of ranks.
 """
