@@ -125,8 +125,7 @@ def test_the_matrix_has_room_for_all_that_is_put_in(matrix):
         layouts.add(s.fsi.fluid.system.layout)
         room = s.fsi.fluid.system.A.getInfo()
         assert room["mallocs"] == 0.0
-        if MPI.COMM_WORLD.size == 1:
-            assert room["nz_allocated"] < 1.01 * room["nz_used"]
+        assert room["nz_allocated"] < (1.01 if MPI.COMM_WORLD.size == 1 else 1.7) * room["nz_used"]
     assert len(layouts) > 1
 
 

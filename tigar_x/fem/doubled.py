@@ -113,19 +113,22 @@ class DoubledSystem(FiniteElementSystem):
     def _matrix(self, names: IntArray, rows: int) -> PETSc.Mat:
         """Empty matrix whose local blocks have global names; -1: not an unknown."""
         m, comm = self._m, self._comm
-        count = self._number.copy()
-        counts = count.x.array.reshape(-1, m)
+        here = slice(self._owned_nodes)
+        blocks, count = 1.0 + self._is_double, self._number.copy()
+        counts, of_rank = count.x.array.reshape(-1, m), self._beside @ blocks
         counts[:] = 0.0
-        counts[:, 0] = self._beside @ (1.0 + self._is_double)  # nodes of cells of several ranks count for each
+        counts[:, 0] = of_rank
         compat.accumulate(count)
-        widths = np.maximum(counts[: self._owned_nodes, 0], 2.0).astype(PETSc.IntType)
-        widths = np.concatenate([widths, widths[self._doubles]]).astype(PETSc.IntType)
+        elsewhere = (counts[:, 0] - of_rank)[here]  # of cells of other ranks, whose nodes may belong to any of them
+        inside = self._beside[here, here] @ blocks[here]
+        widths = np.stack([np.maximum(inside, 2.0), of_rank[here] - inside]) + elsewhere
+        widths = np.concatenate([widths, widths[:, self._doubles]], axis=1).astype(PETSc.IntType)
         A = PETSc.Mat().create(comm=comm)
         A.setSizes(((rows * m, None), (rows * m, None)))
         A.setType(self.recipe.matrix)
         A.setBlockSize(m)
         others = comm.allreduce(rows, op=MPI.SUM) - rows
-        own, off = np.minimum(widths, rows), np.minimum(widths, others)
+        own, off = np.minimum(widths[0], rows), np.minimum(widths[1], others)
         if self.recipe.matrix != "baij":
             own, off = np.repeat(m * own, m), np.repeat(m * off, m)
         A.setPreallocationNNZ((own, off))
