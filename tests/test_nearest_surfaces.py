@@ -201,7 +201,7 @@ def test_patches_that_are_parametrised_against_each_other_have_one_side():
     np.testing.assert_array_equal(ends, (np.abs(sheets.X[:, :2] - 0.5) > 0.5 - 1e-9).any(axis=1))
 
 
-def test_distances_do_not_depend_on_how_many_triangles_are_looked_at_first():
+def test_no_triangle_is_missed_however_large_it_is_and_however_far():
     """Small and large triangles side by side, and two surfaces close to each other."""
     bent = grid(7, lambda u, v: np.column_stack([u**3, v**3, 0.4 * u * v]))
     other = grid(2, lambda u, v: np.column_stack([u, v, 0.05 + 0.4 * u * v]))

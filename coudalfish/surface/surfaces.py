@@ -19,8 +19,10 @@ from coudalfish.surface.triangles import CORNER, EDGE, FACE, NearPlaces, Triangl
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
-NEIGHBOURS = 12
-"""Triangles that are looked at first; more only where these do not suffice."""
+CLASSES = 3
+"""Triangles are sought in classes by their sizes, each twice as large as the next, and the last one of all others."""
+FINE = 0.25
+"""Points are sought together whose bounds, and the size of a triangle more, differ by no more than this share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +61,23 @@ class Surfaces:
         return np.asarray(result / np.maximum(np.linalg.norm(result, axis=2, keepdims=True), np.finfo(float).tiny))
 
     @cached_property
-    def _middles(self) -> tuple[cKDTree, FloatArray]:
-        """Tree of the middles of the triangles, and how far these reach from there."""
+    def _middles(self) -> tuple[FloatArray, FloatArray, cKDTree]:
+        """Middles of the triangles, how far these reach from there, and the tree of them."""
         x = self.triangles.x
         middles = x.mean(axis=1)
-        return cKDTree(middles), np.sqrt(((x - middles[:, None]) ** 2).sum(axis=2).max(axis=1))
+        off = x - middles[:, None]
+        return middles, np.sqrt(np.einsum("tci,tci->tc", off, off).max(axis=1)), cKDTree(middles)
+
+    @cached_property
+    def _classes(self) -> list[tuple[IntArray, float, cKDTree]]:
+        """Triangles of about the same size, how far the largest of them reaches from its middle, and trees of these."""
+        middles, radius, _ = self._middles
+        number = np.ceil(np.log2(radius / radius.max()))
+        found = []
+        for one in np.unique(np.maximum(number, -CLASSES)):
+            members = np.flatnonzero(np.maximum(number, -CLASSES) == one)
+            found.append((members, float(radius[members].max()), cKDTree(middles[members])))
+        return found
 
     def nearest(self, x: FloatArray, *sought: Sought) -> "NearestOnSurfaces":
         """Nearest places of the surfaces to points.
@@ -75,48 +89,72 @@ class Surfaces:
         limit = np.full(len(x), -1.0)
         for one in sought:
             limit[one.points] = one.reach
-        tolerance = SAME_DISTANCE * (limit.max(initial=0.0) + self._middles[1].max(initial=0.0))
-        found, rest, count = [NearPlaces.none()], np.flatnonzero(limit >= 0.0), NEIGHBOURS
-        while len(rest) and len(self.net.triangles):
-            places, rest = self._among(x, limit, rest, min(count, len(self.net.triangles)), tolerance)
-            found, count = [*found, places], 2 * count
-        near = NearPlaces.joined(found)
-        near = near.only(self._different(near))
+        near = NearPlaces.none()
+        if len(self.net.triangles) and (limit >= 0.0).any():
+            near = self._within(x, limit)
+            near = near.only(self._different(near))
         return NearestOnSurfaces(self, len(x), **near._asdict())
 
-    def _among(
-        self, x: FloatArray, limit: FloatArray, points: IntArray, count: int, tolerance: float
-    ) -> tuple[NearPlaces, IntArray]:
-        """Nearest places among those triangles whose middles are the nearest, and points that need more of these."""
-        (tree, radius), triangles = self._middles, self.triangles
-        largest = float(radius.max())
-        within = float(limit[points].max()) + largest
-        distance, k = tree.query(x[points], k=np.arange(1, count + 1), distance_upper_bound=within)
-        there = np.flatnonzero(distance[:, 0] <= limit[points] + largest)
-        points, distance, k = points[there], distance[there], k[there]
-        first = NearPlaces.of(triangles, x, points, k[:, 0])
-        bound = np.minimum(first.distance, limit[points])
-        done = (distance[:, -1] > bound + largest + tolerance) | (count == len(radius))
-        reach = np.append(radius, -np.inf)[k[:, 1:]] + (bound + tolerance)[:, None]
-        row, column = np.nonzero((distance[:, 1:] <= reach) & done[:, None])
-        others = NearPlaces.of(triangles, x, points[row], k[row, column + 1])
-        starts = np.flatnonzero(np.diff(row, prepend=-1))
-        if len(starts):
-            bound[row[starts]] = np.minimum(bound[row[starts]], np.minimum.reduceat(others.distance, starts))
+    def _within(self, x: FloatArray, limit: FloatArray) -> NearPlaces:
+        """Places that are no farther than others, or farther by rounding alone, of points that have one within a limit.
+
+        The triangle with the nearest middle gives a bound, which leaves few others.
+        """
+        _, radius, tree = self._middles
+        largest, points = float(radius.max()), np.flatnonzero(limit >= 0.0)
+        tolerance = SAME_DISTANCE * (float(limit.max()) + largest)
+        distance, k = tree.query(x[points], distance_upper_bound=float(limit.max()) + largest)
+        there = distance <= limit[points] + largest
+        points, k = points[there], k[there]
+        found = NearPlaces.of(self.triangles, x, points, k)
+        bound = np.minimum(found.distance, limit[points])
+        i, others = self._others(x[points], k, bound + tolerance)
+        places = NearPlaces.of(self.triangles, x, points[i], others)
+        nearer = places.distance <= bound[i] + tolerance
+        i, places = i[nearer], places.only(nearer)
+        np.minimum.at(bound, i, places.distance)
         bound = np.minimum(bound + tolerance, limit[points])
-        best = (first.distance <= bound) & done, others.distance <= bound[row]
-        return NearPlaces.joined([first.only(best[0]), others.only(best[1])]), points[~done]
+        return NearPlaces.joined([found.only(found.distance <= bound), places.only(places.distance <= bound[i])])
+
+    def _others(self, x: FloatArray, known: IntArray, bound: FloatArray) -> tuple[IntArray, IntArray]:
+        """Pairs of points and triangles that may be no farther than a bound, but for one triangle of each point.
+
+        A triangle is in a ball about its middle, and in its plane.
+        """
+        middles, radius, _ = self._middles
+        normals, unit, pairs = self.triangles.normals, float(np.median(radius)), []
+        step = np.floor(np.log1p(bound / unit) / np.log1p(FINE))
+        for number in np.unique(step):
+            points = np.flatnonzero(step == number)
+            tree, farthest = cKDTree(x[points]), float(bound[points].max())
+            for members, largest, of_class in self._classes:
+                near = tree.sparse_distance_matrix(of_class, farthest + largest, output_type="ndarray")
+                i, k, distance = points[near["i"]], members[near["j"]], near["v"]
+                some = np.flatnonzero((distance <= bound[i] + radius[k]) & (k != known[i]))
+                i, k, distance = i[some], k[some], distance[some]
+                height = np.einsum("pi,pi->p", x[i] - middles[k], normals[k])
+                aside = np.sqrt(np.maximum(distance**2 - height**2, 0.0)) - radius[k]
+                some = np.flatnonzero(~(height**2 + np.maximum(aside, 0.0) ** 2 > bound[i] ** 2))
+                pairs.append((i[some], k[some]))
+        i, k = (np.concatenate(part) for part in zip(*pairs, strict=True)) if pairs else (known[:0], known[:0])
+        return i, k
 
     def _different(self, near: NearPlaces) -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""
         order = np.lexsort((near.triangle, near.point))
         point = near.point[order]
-        if (np.diff(point) > 0).all():
+        same = np.diff(point, prepend=-1, append=-1) == 0
+        several = np.flatnonzero(same[1:] | same[:-1])
+        if not len(several):
             return order
         net, n = self.net, len(self.net.triangles)
+        places = order[several]
         numbers = np.column_stack([np.arange(n), n + net.edges, 4 * n + net.corners])
-        keys = point * (numbers.max() + 1) + numbers[near.triangle[order], near.kind[order]]
-        return order[np.sort(np.unique(keys, return_index=True)[1])]
+        keys = point[several] * (numbers.max() + 1) + numbers[near.triangle[places], near.kind[places]]
+        kept = np.ones(len(order), dtype=bool)
+        kept[several] = False
+        kept[several[np.unique(keys, return_index=True)[1]]] = True
+        return order[kept]
 
     def crossed(self, start: FloatArray, end: FloatArray, reach: float | FloatArray) -> Any:
         """Mask of the straight lines that cross a surface or its continuation, shape (m,).
