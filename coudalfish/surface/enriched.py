@@ -242,11 +242,12 @@ class Enriching:
         nearest = near.sheet()
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
-        edges, a, b = edges[between], a[between], b[between]
+        edges, several = np.unique(np.sort(edges[between], axis=1), axis=0, return_counts=True)
+        a, b = nearest[edges].T
         negative = phi[edges] < 0.0
         apart = interface.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far[edges].max(axis=1))
         votes = np.zeros((number, number))
-        np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, 1.0, -1.0))
+        np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, several, -several))
         self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
         turned = agreeing(votes + votes.T)
         return np.where(nearest < 0, phi, turned[nearest] * phi), near

@@ -47,9 +47,14 @@ class Net:
         turned = sheets.sign[sheets.cells[:, 0]] < 0.0
         return cls(np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells), sheets.places, attached)
 
+    @property
+    def parts(self) -> int:
+        """Triangles of which a cell is made."""
+        return 1 if self.cells.shape[1] == 3 else 4
+
     @cached_property
     def triangles(self) -> IntArray:
-        """Their corners, of which those beyond the points are middles of cells, shape (triangles, 3)."""
+        """Their corners, of which those beyond the points are middles of cells, cell by cell, shape (triangles, 3)."""
         if self.cells.shape[1] == 3:
             return self.cells
         middles = len(self.place) + np.arange(len(self.cells))

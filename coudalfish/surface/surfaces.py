@@ -13,16 +13,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
+from coudalfish.surface.balls import Balls
 from coudalfish.surface.interface import SAME_DISTANCE, Sought
 from coudalfish.surface.net import OPPOSITE, Net
 from coudalfish.surface.triangles import CORNER, EDGE, FACE, NearPlaces, Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-
-CLASSES = 3
-"""Triangles are sought in classes by their sizes, each twice as large as the next, and the last one of all others."""
-FINE = 0.25
-"""Points are sought together whose bounds, and the size of a triangle more, differ by no more than this share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,23 +57,9 @@ class Surfaces:
         return np.asarray(result / np.maximum(np.linalg.norm(result, axis=2, keepdims=True), np.finfo(float).tiny))
 
     @cached_property
-    def _middles(self) -> tuple[FloatArray, FloatArray, cKDTree]:
-        """Middles of the triangles, how far these reach from there, and the tree of them."""
-        x = self.triangles.x
-        middles = x.mean(axis=1)
-        off = x - middles[:, None]
-        return middles, np.sqrt(np.einsum("tci,tci->tc", off, off).max(axis=1)), cKDTree(middles)
-
-    @cached_property
-    def _classes(self) -> list[tuple[IntArray, float, cKDTree]]:
-        """Triangles of about the same size, how far the largest of them reaches from its middle, and trees of these."""
-        middles, radius, _ = self._middles
-        number = np.ceil(np.log2(radius / radius.max()))
-        found = []
-        for one in np.unique(np.maximum(number, -CLASSES)):
-            members = np.flatnonzero(np.maximum(number, -CLASSES) == one)
-            found.append((members, float(radius[members].max()), cKDTree(middles[members])))
-        return found
+    def _balls(self) -> Balls:
+        """Where the cells are."""
+        return Balls.of(self.triangles, self.net.parts)
 
     def nearest(self, x: FloatArray, *sought: Sought) -> "NearestOnSurfaces":
         """Nearest places of the surfaces to points.
@@ -98,46 +80,32 @@ class Surfaces:
     def _within(self, x: FloatArray, limit: FloatArray) -> NearPlaces:
         """Places that are no farther than others, or farther by rounding alone, of points that have one within a limit.
 
-        The triangle with the nearest middle gives a bound, which leaves few others.
+        The cell with the nearest middle gives a bound, which leaves few others.
         """
-        _, radius, tree = self._middles
-        largest, points = float(radius.max()), np.flatnonzero(limit >= 0.0)
+        cells, points = self._balls, np.flatnonzero(limit >= 0.0)
+        largest = float(cells.radius.max())
         tolerance = SAME_DISTANCE * (float(limit.max()) + largest)
-        distance, k = tree.query(x[points], distance_upper_bound=float(limit.max()) + largest)
+        distance, known = cells.tree.query(x[points], distance_upper_bound=float(limit.max()) + largest)
         there = distance <= limit[points] + largest
-        points, k = points[there], k[there]
-        found = NearPlaces.of(self.triangles, x, points, k)
-        bound = np.minimum(found.distance, limit[points])
-        i, others = self._others(x[points], k, bound + tolerance)
-        places = NearPlaces.of(self.triangles, x, points[i], others)
-        nearer = places.distance <= bound[i] + tolerance
-        i, places = i[nearer], places.only(nearer)
-        np.minimum.at(bound, i, places.distance)
+        points, known = points[there], known[there]
+        bound, every = limit[points].copy(), np.arange(len(points))
+        first = self._on_cells(x[points], every, known, bound, tolerance)
+        others = self._on_cells(x[points], *cells.near(x[points], bound + tolerance, known), bound, tolerance)
         bound = np.minimum(bound + tolerance, limit[points])
-        return NearPlaces.joined([found.only(found.distance <= bound), places.only(places.distance <= bound[i])])
+        near = NearPlaces.joined([places.only(places.distance <= bound[places.point]) for places in (first, others)])
+        return near._replace(point=points[near.point])
 
-    def _others(self, x: FloatArray, known: IntArray, bound: FloatArray) -> tuple[IntArray, IntArray]:
-        """Pairs of points and triangles that may be no farther than a bound, but for one triangle of each point.
+    def _on_cells(self, x: FloatArray, i: IntArray, cell: IntArray, bound: FloatArray, tolerance: float) -> NearPlaces:
+        """Places of one cell for each of some points i that are no farther than a bound, which comes down to them."""
+        places = NearPlaces.of(self.triangles, x, np.repeat(i, self.net.parts), self._triangles(cell))
+        places = places.only(places.distance <= bound[places.point] + tolerance)
+        np.minimum.at(bound, places.point, places.distance)
+        return places
 
-        A triangle is in a ball about its middle, and in its plane.
-        """
-        middles, radius, _ = self._middles
-        normals, unit, pairs = self.triangles.normals, float(np.median(radius)), []
-        step = np.floor(np.log1p(bound / unit) / np.log1p(FINE))
-        for number in np.unique(step):
-            points = np.flatnonzero(step == number)
-            tree, farthest = cKDTree(x[points]), float(bound[points].max())
-            for members, largest, of_class in self._classes:
-                near = tree.sparse_distance_matrix(of_class, farthest + largest, output_type="ndarray")
-                i, k, distance = points[near["i"]], members[near["j"]], near["v"]
-                some = np.flatnonzero((distance <= bound[i] + radius[k]) & (k != known[i]))
-                i, k, distance = i[some], k[some], distance[some]
-                height = np.einsum("pi,pi->p", x[i] - middles[k], normals[k])
-                aside = np.sqrt(np.maximum(distance**2 - height**2, 0.0)) - radius[k]
-                some = np.flatnonzero(~(height**2 + np.maximum(aside, 0.0) ** 2 > bound[i] ** 2))
-                pairs.append((i[some], k[some]))
-        i, k = (np.concatenate(part) for part in zip(*pairs, strict=True)) if pairs else (known[:0], known[:0])
-        return i, k
+    def _triangles(self, cells: IntArray) -> IntArray:
+        """Of some cells, one cell after the other."""
+        parts = self.net.parts
+        return np.asarray((parts * cells[:, None] + np.arange(parts)).ravel())
 
     def _different(self, near: NearPlaces) -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""
@@ -167,9 +135,8 @@ class Surfaces:
         result = np.zeros(len(start), dtype=bool)
         if not len(start) or not len(self.net.triangles):
             return result
-        tree = cKDTree(0.5 * (start + end))
-        half = 0.5 * float(np.linalg.norm(end - start, axis=1).max())
-        line, k = _near_middles(tree, self.triangles, half)
+        line, k = self._balls.pierced(start, end)
+        line, k = np.repeat(line, self.net.parts), self._triangles(k)
         result[line[self.triangles.crossed(start[line], end[line], k)]] = True
         a, b, away = self._at_ends(self.net.ends)
         if not len(a):
@@ -177,7 +144,7 @@ class Surfaces:
         reach = np.broadcast_to(reach, len(start))
         c, d = b + reach.max() * away, a + reach.max() * away
         beyond = Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
-        line, k = _near_middles(tree, beyond, half)
+        line, k = Balls.of(beyond).pierced(start, end)
         through = beyond.crossed(start[line], end[line], k)
         line, k = line[through], k[through]
         from_edge, height = (
@@ -248,14 +215,6 @@ class Surfaces:
         size = float(np.linalg.norm(np.ptp(np.concatenate([self.x, walls.x]), axis=0)))
         near = walls.nearest(self.x, Sought(np.arange(len(self.x)), size))
         return near.signed_distance() <= reach  # negative beyond
-
-
-def _near_middles(tree: cKDTree, triangles: Triangles, reach: float) -> tuple[IntArray, IntArray]:
-    """Pairs of points and of triangles that may be nearer to them than a distance."""
-    middles = triangles.x.mean(axis=1)
-    radius = float(np.linalg.norm(triangles.x - middles[:, None], axis=2).max())
-    near = tree.sparse_distance_matrix(cKDTree(middles), reach + radius, output_type="ndarray")
-    return near["i"], near["j"]
 
 
 @dataclass(frozen=True, eq=False)

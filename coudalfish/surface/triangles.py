@@ -121,12 +121,14 @@ class Triangles:
             end: where they end.
             k: one triangle for each.
         """
-        a, b, c = (self.x[k, corner] - start for corner in range(3))
         line, normal = end - start, self.area_vectors[k]
-        height = _dot(a, normal)
-        parted = height * (height - _dot(line, normal)) <= 0.0
-        around = np.stack([_dot(line, np.cross(*pair)) for pair in ((a, b), (b, c), (c, a))])
-        return parted & ((around >= 0.0).all(axis=0) | (around <= 0.0).all(axis=0))
+        height = _dot(self.x[k, 0] - start, normal)
+        result = np.asarray(height * (height - _dot(line, normal)) <= 0.0)
+        parted = np.flatnonzero(result)
+        a, b, c = (self.x[k[parted], corner] - start[parted] for corner in range(3))
+        around = np.stack([_dot(line[parted], np.cross(*pair)) for pair in ((a, b), (b, c), (c, a))])
+        result[parted] = (around >= 0.0).all(axis=0) | (around <= 0.0).all(axis=0)
+        return result
 
 
 class NearPlaces(NamedTuple):
