@@ -9,9 +9,9 @@ from dolfinx import fem, mesh
 from coudalfish.surface.cut_cells import CutCells
 from coudalfish.surface.distance import Curves
 from coudalfish.surface.enriched import Enriching, agreeing
+from coudalfish.surface.facets import FacetWeights
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.sheets import Chain, Sheets
-from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 
 COMM = MPI.COMM_WORLD
@@ -53,7 +53,7 @@ def test_weights_on_the_boundary_integrate_over_its_part(degree):
     space, linear = compat.lagrange_space(domain, degree, discontinuous=True), compat.lagrange_space(domain, 1)
     x = linear.tabulate_dof_coordinates()
     cut = CutCells.of(compat.cell_dofs(linear), x[:, 0] + 0.2 * x[:, 1] - 0.2502)  # close to a vertex at the bottom
-    cells, values = WallWeights(domain, degree, compat.node_points(space))(cut)
+    cells, values = FacetWeights(space, degree)(cut)
     weight = fem.Function(space)
     weight.x.array[compat.cell_dofs(space)[cells]] = values
     X = ufl.SpatialCoordinate(domain)

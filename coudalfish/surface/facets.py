@@ -1,9 +1,11 @@
-"""Weights of the two sides on the boundary of the fluid, where a surface crosses it between vertices, in any dimension.
+"""Weights of the two sides on the boundary of the fluid, where a curve or surface crosses it between vertices.
 
 A weight is one polynomial in each cell. On one facet it is the projection of the side's indicator on polynomials of
 degree k. A cell with two facets on the boundary has on both of them the integrals of all polynomials of degree k over
-the sides: polynomials of degree k + 1 have freedom enough for that. Where three facets of a tetrahedron meet in a
-corner one integral in eighteen (k = 2) is determined by the others, and it is right as far as it can be.
+the sides, if its own polynomials are of degree k + 1. Of degree k they have not enough freedom: they are then the
+projection of the indicators on both, and have the integrals of what is continuous and of degree k alone, such as
+penalties. Where three facets of a tetrahedron meet in a corner one integral in eighteen (k = 2) is determined by the
+others, and it is right as far as it can be.
 """
 
 from functools import cached_property
@@ -40,13 +42,18 @@ class FacetWeights:
 
     def __call__(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
         """Those cut cells that have a facet on the boundary, and values at their nodes, shape (found, nodes)."""
-        there = np.flatnonzero(self._walls[cut.cells])
-        cells, kinds, values = cut.cells[there], self._walls[cut.cells[there]], cut.values[there]
-        weights = np.empty((len(cells), len(self._integrals[0][0])))
+        kinds = self._walls[cut.cells]
+        there = np.flatnonzero(kinds)
+        if not len(there):
+            return cut.cells[:0], np.empty((0, len(self._integrals[0][0])))
+        cells, kinds, values = cut.cells[there], kinds[there], cut.values[there]
+        cell, side = np.nonzero(kinds[:, None] >> np.arange(self._d + 1) & 1)
+        moments = np.zeros((len(cells), self._d + 1, len(self._moments.whole)))
+        moments[cell, side] = self._of_facets(values[cell[:, None], self._vertices[side]])
+        weights, moments = np.empty((len(cells), len(self._integrals[0][0]))), moments.reshape(len(cells), -1)
         for kind in np.unique(kinds):
-            rows = np.flatnonzero(kinds == kind)
-            moments = [self._of_facets(values[rows][:, self._vertices[side]]) for side in self._sides(kind)]
-            weights[rows] = np.hstack(moments) @ self._solution(kind)
+            rows = kinds == kind
+            weights[rows] = moments[rows] @ self._solution(kind)
         return cells, weights
 
     def _of_facets(self, values: FloatArray) -> FloatArray:
@@ -54,11 +61,9 @@ class FacetWeights:
         negative = values < 0.0
         moments = np.where(negative[:, :1], self._moments.whole, 0.0)
         cut = np.flatnonzero((negative != negative[:, :1]).any(axis=1))
-        moments[cut] = self._moments(Division(values[cut]))
+        if len(cut):
+            moments[cut] = self._moments(Division(values[cut]))
         return moments
-
-    def _sides(self, kind: int) -> IntArray:
-        return np.flatnonzero(kind >> np.arange(self._d + 1) & 1)
 
     @cached_property
     def _integrals(self) -> list[tuple[FloatArray, FloatArray]]:
@@ -74,10 +79,14 @@ class FacetWeights:
         return found
 
     def _solution(self, kind: int) -> FloatArray:
-        """Nodal values out of moments over facets: of all that have these the least in the mean square over them."""
+        """Nodal values out of moments over all facets, of which those on the boundary count.
+
+        Of all values that have these moments they are the least ones in the mean square over the facets.
+        """
         if kind not in self._solutions:
-            of = [self._integrals[side] for side in self._sides(kind)]
-            G, A = sum(mass for mass, _ in of), np.vstack([products for _, products in of])
+            on = kind >> np.arange(self._d + 1) & 1
+            G = np.sum([mass for (mass, _), here in zip(self._integrals, on, strict=True) if here], axis=0)
+            A = np.vstack([here * products for (_, products), here in zip(self._integrals, on, strict=True)])
             there = np.flatnonzero(np.diag(G) > 0.0)
             half = np.linalg.solve(G[np.ix_(there, there)], A[:, there].T)
             solution = np.zeros((len(A), len(G)))

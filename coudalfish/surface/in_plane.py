@@ -6,10 +6,10 @@ from dolfinx import fem
 from coudalfish.surface.cut_cells import CutCells, SideWeights
 from coudalfish.surface.distance import Curves
 from coudalfish.surface.enriched import Enriching, Enrichment
+from coudalfish.surface.facets import FacetWeights
 from coudalfish.surface.kinks import KinkedMeeting, onto_zero_line
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
-from coudalfish.surface.walls import WallWeights
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 
@@ -37,7 +37,7 @@ class DividedPlane:
         self._space, self._size, self._kinked = space, size, kinked
         self._enriching = Enriching(space, kinked=kinked)
         self._weights = SideWeights(compat.lagrange_degree(weights), compat.node_points(weights))
-        self._walls = WallWeights(space.mesh, compat.lagrange_degree(walls), compat.node_points(walls))
+        self._walls = FacetWeights(walls, compat.lagrange_degree(walls))
 
     def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""

@@ -105,7 +105,7 @@ class Division:
             if not len(rows):
                 continue
             places = order[self._pattern[rows]]
-            values, corners = np.take_along_axis(self.values[rows], places, 1), np.eye(vertices).take(places, axis=0)
+            values, corners = self.values[rows[:, None], places], np.eye(vertices).take(places, axis=0)
             a, b = values[:, :k, None], values[:, None, k:]
             t = a / (a - b)
             between = (1.0 - t)[..., None] * corners[:, :k, None] + t[..., None] * corners[:, None, k:]

@@ -32,7 +32,7 @@ at which a surface ends."""
 KINDS = tuple(DEGREE)
 WALLS = {2: 0, 3: 1}
 """By how much the degree of the weights on walls is higher, for each dimension of space. In the plane they are exact on
-one side of a cell; with one degree more they are exact on two facets at once."""
+one side of a cell, and on two of them for what is continuous; with one degree more they are exact on two facets."""
 
 
 class FlowSides(SidedValues):
