@@ -57,6 +57,15 @@ def test_functions_sum_to_one_and_are_linear_between_the_lines_of_a_grid_of_thei
     np.testing.assert_allclose(N, np.maximum(0.0, 1.0 - np.abs(s[:, None] / 0.25 - np.arange(7))), atol=1e-12)
 
 
+def test_where_elements_are_larger_than_functions_there_are_none_without_points():
+    """A strip of one element across, on which functions of a third of its width are wanted."""
+    strip = shapes.parallelogram((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.3, 0.0), elements=(20, 1), degrees=(1, 1))
+    _, N, areas = hats_on(strip, 0.1)
+    assert N.shape[1] == 2 * 11
+    assert (areas @ N > 0.0).all()
+    np.testing.assert_allclose(N.sum(axis=1), 1.0, atol=1e-12)
+
+
 def test_leaflets_that_are_mirror_images_have_functions_that_are():
     """Whichever way each of them is parametrised, and whatever its length is to the grid's cells."""
     low, high = shapes.line((2.0, 0.0), (2.0, 0.7), elements=9), shapes.line((2.0, 0.9), (2.0, 1.6), elements=9)

@@ -42,7 +42,8 @@ def hat_functions(spline: ExtractedSpline, sheets: Sheets, weights: FloatArray, 
         mine = np.flatnonzero(patch == k)
         blocks.append(_patch_functions(xi[mine], X[mine], size))
         rows.append(mine)
-    N = sp.block_diag(blocks, format="csr")[np.argsort(np.concatenate(rows))]
+    N = sp.block_diag(blocks, format="csc")
+    N = N[:, np.diff(N.indptr) > 0].tocsr()[np.argsort(np.concatenate(rows))]  # elements may be larger than functions
     if spline.dim == 1:
         N = _joined(N, sheets.joints)
     N = _without_small_ones(N, weights, SMALL * size**spline.dim)
