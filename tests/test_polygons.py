@@ -51,6 +51,19 @@ def test_a_plane_has_its_area_and_normal(d):
 
 
 @pytest.mark.parametrize("d", [2, 3])
+def test_small_simplices_have_one_point(d):
+    """Linear functions are integrated exactly, and others as good as."""
+    vertices, x = box(d, 5)
+    _, zero = zero_set(vertices, x, sphere(x))
+    whole, few = zero.quadrature(2), zero.quadrature(2, 0.3)
+    assert 0.5 * len(whole.areas) < len(few.areas) < 0.95 * len(whole.areas)
+    np.testing.assert_allclose(few.areas.sum(), whole.areas.sum(), rtol=1e-13)
+    np.testing.assert_allclose(few.areas @ few.x, whole.areas @ whole.x, rtol=1e-13)
+    np.testing.assert_allclose(few.areas @ few.x**2, whole.areas @ whole.x**2, rtol=1e-4)
+    assert (np.abs(few.areas @ few.x**2 - whole.areas @ whole.x**2) > 1e-9).any()
+
+
+@pytest.mark.parametrize("d", [2, 3])
 def test_areas_of_a_sphere_converge(d):
     errors = []
     for n in (8, 16):

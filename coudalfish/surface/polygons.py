@@ -110,20 +110,27 @@ class ZeroSet:
         rows = np.repeat(self.rows[parts.rows[there]], inside.shape[1])
         return ZeroSet(self.cut, self.corners, rows, inside.reshape(-1, *self.barycentric.shape[1:]))
 
-    def quadrature(self, degree: int = 2) -> "ZeroPoints":
-        """Points to integrate over it, of the simplices in their order, as many in each.
+    def quadrature(self, degree: int = 2, small: float = 0.0) -> "ZeroPoints":
+        """Points to integrate over it, of the simplices in their order, but small ones first.
 
         Args:
             degree: of the polynomials that are integrated exactly.
+            small: length of the longest edge of a simplex, relative to that of its cell, up to which it is small: it
+                has one point, with which linear functions are integrated exactly.
         """
+        of_cells, normals = longest_edges(self.corners)[self.rows], self.normals()
+        is_small = longest_edges(self.places(self.barycentric)) <= small * of_cells
+        parts = (self.only(chosen)._points(k, normals) for chosen, k in ((is_small, 1), (~is_small, degree)))
+        return ZeroPoints(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def _points(self, degree: int, normals: FloatArray) -> tuple[Any, ...]:
+        """What :class:`ZeroPoints` are made of; normals in the cells, shape (cut, d)."""
         d = self.barycentric.shape[1]
         x, weights = rule(d - 1, degree)
         at = np.column_stack([1.0 - x.sum(axis=1), x]) @ self.barycentric
         areas = self.sizes()[:, None] * (weights / weights.sum())
-        return ZeroPoints(
-            self.cut.cells[np.repeat(self.rows, len(x))], at.reshape(-1, d + 1), areas.ravel(),
-            self.places(at).reshape(-1, d), self.normals()[np.repeat(self.rows, len(x))],
-        )  # fmt: skip
+        row = np.repeat(self.rows, len(x))
+        return self.cut.cells[row], at.reshape(-1, d + 1), areas.ravel(), self.places(at).reshape(-1, d), normals[row]
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,3 +186,10 @@ def _divided(dim: int, parts: int) -> tuple[FloatArray, IntArray]:
     table = [np.column_stack([number[i, j], number[i + 1, j], number[i, j + 1]])[up]]
     table.append(np.column_stack([number[i + 1, j + 1], number[i, j + 1], number[i + 1, j]])[down])
     return np.column_stack([parts - i - j, i, j]) / parts, np.concatenate(table)
+
+
+def longest_edges(corners: FloatArray) -> FloatArray:
+    """Of simplices, shape (n, corners, d) -> (n,)."""
+    a, b = np.triu_indices(corners.shape[1], 1)
+    arms = corners[:, b] - corners[:, a]
+    return np.asarray(np.sqrt(np.einsum("nei,nei->ne", arms, arms).max(axis=1, initial=0.0)))

@@ -88,19 +88,20 @@ class Surfaces:
         distance, known = cells.tree.query(x[points], distance_upper_bound=float(limit.max()) + largest)
         there = distance <= limit[points] + largest
         points, known = points[there], known[there]
-        bound, every = limit[points].copy(), np.arange(len(points))
-        first = self._on_cells(x[points], every, known, bound, tolerance)
-        others = self._on_cells(x[points], *cells.near(x[points], bound + tolerance, known), bound, tolerance)
-        bound = np.minimum(bound + tolerance, limit[points])
+        x, limit, every = x[points], limit[points], np.arange(len(points))
+        first = self._on_cells(x, every, known)
+        nearest = first.distance.reshape(-1, self.net.parts).min(axis=1)
+        bound = np.minimum(nearest, limit)
+        others = self._on_cells(x, *cells.near(x, bound + tolerance, known))
+        others = others.only(others.distance <= bound[others.point] + tolerance)
+        np.minimum.at(bound, others.point, others.distance)
+        bound = np.minimum(bound + tolerance, limit)
         near = NearPlaces.joined([places.only(places.distance <= bound[places.point]) for places in (first, others)])
         return near._replace(point=points[near.point])
 
-    def _on_cells(self, x: FloatArray, i: IntArray, cell: IntArray, bound: FloatArray, tolerance: float) -> NearPlaces:
-        """Places of one cell for each of some points i that are no farther than a bound, which comes down to them."""
-        places = NearPlaces.of(self.triangles, x, np.repeat(i, self.net.parts), self._triangles(cell))
-        places = places.only(places.distance <= bound[places.point] + tolerance)
-        np.minimum.at(bound, places.point, places.distance)
-        return places
+    def _on_cells(self, x: FloatArray, i: IntArray, cells: IntArray) -> NearPlaces:
+        """Places of all triangles of one cell for each of some points i."""
+        return NearPlaces.of(self.triangles, x, np.repeat(i, self.net.parts), self._triangles(cells))
 
     def _triangles(self, cells: IntArray) -> IntArray:
         """Of some cells, one cell after the other."""
