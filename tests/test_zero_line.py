@@ -8,7 +8,7 @@ from test_cut_cells import circle, several
 
 from coudalfish.surface.averages import MeetsByAverages
 from coudalfish.surface.enriched import Enriching
-from coudalfish.surface.kinks import onto_zero_line
+from coudalfish.surface.in_plane import onto_zero_line
 from coudalfish.surface.trace import PointLocator
 from tigar_x import compat
 

@@ -1,43 +1,21 @@
-"""How curves divide a flow in the plane: where its fields differ, weights of the sides, and where the curves see it."""
+"""How curves divide a flow in the plane, and where they see it: on the line on which the signed distance is zero."""
+
+from typing import Any
 
 import numpy as np
-from dolfinx import fem
 
-from coudalfish.surface.cut_cells import CutCells, SideWeights
 from coudalfish.surface.distance import Curves
-from coudalfish.surface.enriched import Enriching, Enrichment
-from coudalfish.surface.facets import FacetWeights
-from coudalfish.surface.kinks import KinkedMeeting, onto_zero_line
+from coudalfish.surface.divided_mesh import DividedMesh
+from coudalfish.surface.enriched import Enrichment
+from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
-from tigar_x import compat
-from tigar_x.compat import FloatArray, IntArray
+from coudalfish.surface.trace import Location
+from tigar_x.compat import FloatArray
 
 
-class DividedPlane:
-    """A mesh of triangles that curves divide, see :class:`coudalfish.sides.sided_fluid.Dividing`.
-
-    Args:
-        space: scalar linear space of one component of the velocity.
-        weights: discontinuous space of the weights of sides.
-        walls: the same of those on the boundary.
-        size: of cells near the surface; unit: length.
-        kinked: whether velocities are kinked; pressures always jump.
-    """
-
-    def __init__(
-        self,
-        space: fem.FunctionSpace,
-        weights: fem.FunctionSpace,
-        walls: fem.FunctionSpace,
-        size: float,
-        *,
-        kinked: bool,
-    ) -> None:
-        self._space, self._size, self._kinked = space, size, kinked
-        self._enriching = Enriching(space, kinked=kinked)
-        self._weights = SideWeights(compat.lagrange_degree(weights), compat.node_points(weights))
-        self._walls = FacetWeights(walls, compat.lagrange_degree(walls))
+class DividedPlane(DividedMesh):
+    """A mesh of triangles that curves divide, see :class:`coudalfish.sides.sided_fluid.Dividing`."""
 
     def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
@@ -48,15 +26,27 @@ class DividedPlane:
         location = onto_zero_line(meeting.location, *of_cells, divided)
         return found, KinkedMeeting.of(meeting, self._space, location, phi / self._size, found.kink)
 
-    @property
-    def nothing(self) -> Enrichment:
-        """See there."""
-        return self._enriching.nothing
 
-    def weights(self, cut: CutCells) -> FloatArray:
-        """See there."""
-        return self._weights(cut)
+def onto_zero_line(location: Location, phi: FloatArray, corners: FloatArray, divided: Any) -> Location:
+    """Places in divided triangles moved along the gradient of a linear function to where it is zero.
 
-    def on_walls(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
-        """See there."""
-        return self._walls(cut)
+    They count to the cells in which they were, whose functions are continued where they leave them.
+
+    Args:
+        location: the places.
+        phi: the function at the vertices of the cells, shape (cells, 3).
+        corners: the vertices, shape (cells, 3, 2); unit: length.
+        divided: mask of the cells, in which the function has two signs, shape (cells,).
+    """
+    here = np.flatnonzero(location.owned)
+    here = here[divided[location.cells[here]]]
+    cells, at = location.cells[here], location.barycentric.copy()
+    values, x = phi[cells], corners[cells]
+    (p, q), (r, s) = (x[:, 1] - x[:, 0]).T, (x[:, 2] - x[:, 0]).T
+    # gradients of the barycentric coordinates of the vertices but the first
+    second, third = np.stack([s, -r]) / (p * s - q * r), np.stack([-q, p]) / (p * s - q * r)
+    slopes = np.stack([-second - third, second, third], axis=-1)
+    gradient = np.einsum("dci,ci->dc", slopes, values)
+    steps = np.einsum("ci,ci->c", at[here], values) / np.einsum("dc,dc->c", gradient, gradient)
+    at[here] -= steps[:, None] * np.einsum("dci,dc->ci", slopes, gradient)
+    return Location(location.cells, at, location.active)

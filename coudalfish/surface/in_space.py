@@ -1,19 +1,15 @@
-"""How surfaces divide a flow in space: where its fields differ, weights of the sides, and where the surfaces see it."""
-
-from dolfinx import fem
+"""How surfaces divide a flow in space, and where they see it: on the polygons on which the signed distance is zero."""
 
 from coudalfish.surface.boundary import net_in
-from coudalfish.surface.cut_cells import CutCells, SideWeights
-from coudalfish.surface.enriched import Enriching, Enrichment
-from coudalfish.surface.facets import FacetWeights
+from coudalfish.surface.divided_mesh import DividedMesh
+from coudalfish.surface.enriched import Enrichment
 from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.net import Net
 from coudalfish.surface.on_polygons import OnPolygons
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
-from tigar_x import compat
-from tigar_x.compat import FloatArray, IntArray
+from tigar_x.compat import FloatArray
 
 QUADRATURE = 2
 """Degree of the polynomials that points on polygons integrate exactly: hat functions times velocities."""
@@ -25,31 +21,10 @@ ATTACHED = 0.1
 """Distance from the boundary, in sizes of cells, within which an edge of a surface is attached to it."""
 
 
-class DividedSpace:
-    """A mesh of tetrahedra that surfaces divide, see :class:`coudalfish.sides.sided_fluid.Dividing`.
+class DividedSpace(DividedMesh):
+    """A mesh of tetrahedra that surfaces divide, see :class:`coudalfish.sides.sided_fluid.Dividing`."""
 
-    Args:
-        space: scalar linear space of one component of the velocity.
-        weights: discontinuous space of the weights of sides.
-        walls: the same of those on the boundary.
-        size: of cells near the surface; unit: length.
-        kinked: whether velocities are kinked; pressures always jump.
-    """
-
-    def __init__(
-        self,
-        space: fem.FunctionSpace,
-        weights: fem.FunctionSpace,
-        walls: fem.FunctionSpace,
-        size: float,
-        *,
-        kinked: bool,
-    ) -> None:
-        self._space, self._size, self._kinked = space, size, kinked
-        self._enriching = Enriching(space, kinked=kinked)
-        self._weights = SideWeights(compat.lagrange_degree(weights), compat.node_points(weights))
-        self._walls = FacetWeights(walls)
-        self._net: tuple[Sheets, Net, FloatArray] | None = None
+    _net: tuple[Sheets, Net, FloatArray] | None = None
 
     def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
@@ -69,16 +44,3 @@ class DividedSpace:
         if not self._kinked:
             return found, on
         return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)
-
-    @property
-    def nothing(self) -> Enrichment:
-        """See there."""
-        return self._enriching.nothing
-
-    def weights(self, cut: CutCells) -> FloatArray:
-        """See there."""
-        return self._weights(cut)
-
-    def on_walls(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
-        """See there."""
-        return self._walls(cut)

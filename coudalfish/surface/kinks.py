@@ -92,28 +92,3 @@ class KinkedMeeting:
     ) -> NormalForces | None:
         """See there (collective)."""
         return self.plain.normal_forces(functions, n, self.penalty[0] if trace is None else trace)
-
-
-def onto_zero_line(location: Location, phi: FloatArray, corners: FloatArray, divided: Any) -> Location:
-    """Places in divided triangles moved along the gradient of a linear function to where it is zero.
-
-    They count to the cells in which they were, whose functions are continued where they leave them.
-
-    Args:
-        location: the places.
-        phi: the function at the vertices of the cells, shape (cells, 3).
-        corners: the vertices, shape (cells, 3, 2); unit: length.
-        divided: mask of the cells, in which the function has two signs, shape (cells,).
-    """
-    here = np.flatnonzero(location.owned)
-    here = here[divided[location.cells[here]]]
-    cells, at = location.cells[here], location.barycentric.copy()
-    values, x = phi[cells], corners[cells]
-    (p, q), (r, s) = (x[:, 1] - x[:, 0]).T, (x[:, 2] - x[:, 0]).T
-    # gradients of the barycentric coordinates of the vertices but the first
-    second, third = np.stack([s, -r]) / (p * s - q * r), np.stack([-q, p]) / (p * s - q * r)
-    slopes = np.stack([-second - third, second, third], axis=-1)
-    gradient = np.einsum("dci,ci->dc", slopes, values)
-    steps = np.einsum("ci,ci->c", at[here], values) / np.einsum("dc,dc->c", gradient, gradient)
-    at[here] -= steps[:, None] * np.einsum("dci,dc->ci", slopes, gradient)
-    return Location(location.cells, at, location.active)
