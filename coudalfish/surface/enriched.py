@@ -79,8 +79,8 @@ class Enrichment:
     """What curves or surfaces do to a mesh.
 
     Attributes:
-        phi: signed distance at the nodes, not a number far away, shape (nodes,); unit: length. In the plane it is
-            corrected so that its zero line is where the curve is on average.
+        phi: signed distance at the nodes, corrected so that it is zero where the curve or surface is on average, not a
+            number far away, shape (nodes,); unit: length.
         cut: cells in which one of the nodes is enriched, ghosts as well.
         zero: what is covered of the lines or polygons on which phi is zero, also in cells of which no node is enriched.
         jump: mask of the nodes at which the pressure jumps, shape (nodes,).
@@ -203,10 +203,10 @@ class Enriching:
         return Enrichment(phi, cut.only(real & concerned), covered, jump, kink, velocity)
 
     def _centred(self, phi: FloatArray, meeting: Meeting) -> FloatArray:
-        """Values with a zero line from which the curve departs to both sides alike (collective).
+        """Values with a zero line from which the curve, or surface, departs to both sides alike (collective).
 
         The line between points of a bent curve is on its inner side, and a jump of the pressure there makes a pair with
-        the forces on the curve.
+        the forces on the curve. The polygons inside of a sphere are smaller than it is: a pressure would be larger.
         """
         (E, areas), nodes, cells = meeting.penalty, meeting.seen, meeting.location.cells
         E_t, values = E.T, phi[self.vertices[cells]]

@@ -33,7 +33,7 @@ class DividedSpace(DividedMesh):
             self._net = sheets, net, Surfaces(sheets.X, net).triangles.areas
         _, net, at_rest = self._net
         surfaces = Surfaces(x, net)
-        found = self._enriching(surfaces, v=v if self._kinked else None)
+        found = self._enriching(surfaces, meeting, v if self._kinked else None)
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
         points = owned.quadrature(QUADRATURE, SMALL)
         hats, areas = points.on(
