@@ -14,7 +14,7 @@ from tigar_x.compat import FloatArray
 QUADRATURE = 2
 """Degree of the polynomials that points on polygons integrate exactly: hat functions times velocities."""
 SMALL = 0.25
-"""Edges of parts of polygons, in sizes of their cells, up to which one point suffices."""
+"""Edges of parts of polygons, in sizes of their cells, up to which one point suffices: kinks, quadratic, need more."""
 BESIDE = 0.5
 """Distance of a polygon from the surface, in sizes of its cell, up to which it sees it."""
 ATTACHED = 0.1
@@ -35,7 +35,7 @@ class DividedSpace(DividedMesh):
         surfaces = Surfaces(x, net)
         found = self._enriching(surfaces, meeting, v if self._kinked else None)
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
-        points = owned.quadrature(QUADRATURE, SMALL)
+        points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
         hats, areas = points.on(
             surfaces, surfaces.triangles.areas / at_rest, BESIDE * self._enriching.sizes[points.cells]
         )
