@@ -706,7 +706,7 @@ class Obstacle:
         """Let it flow.
 
         Figures: "drag" of the whole sphere over that of a unit square in the stream, ``2 F/(rho U^2 D^2)``; "change",
-        that in the last tenth of the run relative to it; "slip", the root mean square of the flow through the sphere.
+        that in the last twentieth of the run relative to it; "slip", the root mean square of the flow through the sphere.
         """
         scene, until = self.build(setting), self.until
         if self.before is not None:
@@ -717,7 +717,7 @@ class Obstacle:
             scene.step()
         end = scene.reports[-1].t
         drag = [8.0 * report.monitors.force[0] for report in scene.reports if report.monitors]
-        late = [d for d, report in zip(drag, scene.reports, strict=True) if report.t >= end - 0.1 * self.until]
+        late = [d for d, report in zip(drag, scene.reports, strict=True) if report.t >= end - 0.05 * self.until]
         monitors = scene.reports[-1].monitors
         return scene.found(
             drag=drag[-1],
