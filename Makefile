@@ -79,7 +79,7 @@ bench: setup ## run the benchmarks, into results/benchmarks
 	$(PYTHON) benchmarks/flow_subscales.py --out results/benchmarks/flow_subscales
 	$(PYTHON) benchmarks/flow_extremes.py --out results/benchmarks/flow_extremes
 	$(PYTHON) benchmarks/surface.py --out results/benchmarks/surface
-	$(PYTHON) benchmarks/surface_space.py --settings "plain; converged" --out results/benchmarks/surface_space
+	$(PYTHON) benchmarks/surface_space.py --out results/benchmarks/surface_space
 	$(PYTHON) benchmarks/immersed_cylinder.py --out results/benchmarks/immersed_cylinder
 	$(PYTHON) benchmarks/valve_2d.py --out results/benchmarks/valve_2d
 	$(PYTHON) benchmarks/heart_valve.py --out results/benchmarks/heart_valve

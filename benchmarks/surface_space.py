@@ -51,7 +51,9 @@ STUDIES: dict[str, Study] = {
 }
 
 
-def main(settings: str = "plain; converged; jump", only: str = "", out: Path = Path("results/surface_space")) -> None:
+def main(
+    settings: str = "plain; converged; jump; sharp", only: str = "", out: Path = Path("results/surface_space")
+) -> None:
     """Run the scenes with the settings; print a table for each study as Markdown, and write them all as CSV.
 
     Args:
