@@ -706,7 +706,7 @@ class Obstacle:
         """Let it flow.
 
         Figures: "drag" of the whole sphere over that of a unit square in the stream, ``2 F/(rho U^2 D^2)``; "change",
-        that in the last twentieth of the run relative to it; "slip", the root mean square of the flow through the sphere.
+        that in the last twentieth of the run relative to it; "slip", the root mean square of what passes the sphere.
         """
         scene, until = self.build(setting), self.until
         if self.before is not None:
