@@ -55,11 +55,6 @@ class Balls:
         return cls(middles, radius, normals, thickness + ROUNDED * radius)
 
     @cached_property
-    def tree(self) -> cKDTree:
-        """Of the middles."""
-        return cKDTree(self.middles)
-
-    @cached_property
     def _classes(self) -> list[tuple[IntArray, float, cKDTree]]:
         """Cells of about the same size, how far the largest of them reaches from its middle, and trees of these."""
         number = np.maximum(np.ceil(np.log2(self.radius / self.radius.max(initial=0.0))), -CLASSES)
@@ -82,6 +77,24 @@ class Balls:
                 some = distance <= bound[i] + self.radius[k]
                 found.append((i[some], k[some], distance[some]))
         return found
+
+    def nearest(self, x: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
+        """Points to which cells may be within a limit, ascending, and the cells with the nearest middles.
+
+        Args:
+            x: points, shape (n, 3); unit: length.
+            limit: how far cells may be, negative where none counts, shape (n,).
+        """
+        tree, largest = cKDTree(self.middles), float(self.radius.max(initial=0.0))
+        known, wanted = np.full(len(x), len(self.middles)), np.flatnonzero(limit >= 0.0)
+        step = np.ceil(np.log2(limit[wanted] + largest))
+        for number in np.unique(step):
+            points = wanted[step == number]
+            within = float(limit[points].max()) + largest
+            distance, cell = tree.query(x[points], distance_upper_bound=within)
+            known[points] = np.where(distance <= limit[points] + largest, cell, len(self.middles))
+        points = np.flatnonzero(known < len(self.middles))
+        return points, known[points]
 
     def near(self, x: FloatArray, bound: FloatArray, known: IntArray) -> tuple[IntArray, IntArray]:
         """Pairs of points and cells that may be no farther than a bound, but for one cell of each point.

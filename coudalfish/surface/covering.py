@@ -79,9 +79,11 @@ def _clipped(zero: ZeroSet, surfaces: WithEdges, reach: FloatArray, size: FloatA
     x = zero.places(points).reshape(-1, points.shape[2] - 1)
     reach, size = np.repeat(reach, points.shape[1]), np.repeat(size, points.shape[1])
     margin = surfaces.nearest(x, Sought(np.arange(len(x)), reach)).margin(size).reshape(points.shape[:2])
+    whole = (margin >= 0.0).all(axis=1)
     margin = margin[:, table].reshape(-1, table.shape[1])
     there = margin >= 0.0
-    result, on_edge = small.only(there.all(axis=1)), there.any(axis=1) & ~there.all(axis=1)
+    inside, on_edge = there.all(axis=1) & ~np.repeat(whole, len(table)), there.any(axis=1) & ~there.all(axis=1)
+    result = zero.only(whole).joined(small.only(inside))
     division, small = Division(margin[on_edge]), small.only(on_edge)
     for positive, sides in ((~division.of_negative, division.smaller), (division.of_negative, division.larger)):
         for parts in sides:

@@ -69,7 +69,7 @@ class Rules:
 
 RULES = {
     2: Rules(1e-5, near=1.5, reach=4.0, continued=4.0, beyond=0.0, covering=by_curves, is_local=False),
-    3: Rules(1e-8, near=1.1, reach=2.5, continued=1.0, beyond=2.0, covering=by_surfaces, is_local=True),
+    3: Rules(1e-8, near=1.1, reach=3.0, continued=1.0, beyond=2.0, covering=by_surfaces, is_local=True),
 }
 """By the dimension of space."""
 

@@ -82,12 +82,8 @@ class Surfaces:
 
         The cell with the nearest middle gives a bound, which leaves few others.
         """
-        cells, points = self._balls, np.flatnonzero(limit >= 0.0)
-        largest = float(cells.radius.max())
-        tolerance = SAME_DISTANCE * (float(limit.max()) + largest)
-        distance, known = cells.tree.query(x[points], distance_upper_bound=float(limit.max()) + largest)
-        there = distance <= limit[points] + largest
-        points, known = points[there], known[there]
+        cells, tolerance = self._balls, SAME_DISTANCE * (float(limit.max()) + float(self._balls.radius.max()))
+        points, known = cells.nearest(x, limit)
         x, limit, every = x[points], limit[points], np.arange(len(points))
         first = self._on_cells(x, every, known)
         nearest = first.distance.reshape(-1, self.net.parts).min(axis=1)
