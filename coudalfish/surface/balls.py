@@ -55,6 +55,10 @@ class Balls:
         return cls(middles, radius, normals, thickness + ROUNDED * radius)
 
     @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.middles)
+
+    @cached_property
     def _classes(self) -> list[tuple[IntArray, float, cKDTree]]:
         """Cells of about the same size, how far the largest of them reaches from its middle, and trees of these."""
         number = np.maximum(np.ceil(np.log2(self.radius / self.radius.max(initial=0.0))), -CLASSES)
@@ -85,7 +89,7 @@ class Balls:
             x: points, shape (n, 3); unit: length.
             limit: how far cells may be, negative where none counts, shape (n,).
         """
-        tree, largest = cKDTree(self.middles), float(self.radius.max(initial=0.0))
+        tree, largest = self._tree, float(self.radius.max(initial=0.0))
         known, wanted = np.full(len(x), len(self.middles)), np.flatnonzero(limit >= 0.0)
         step = np.ceil(np.log2(limit[wanted] + largest))
         for number in np.unique(step):
