@@ -51,7 +51,8 @@ class Rules:
         divided: share of the volume of a node's cells that each part has to have for its pressure to jump.
         near: distance of a node from the surface up to which its side is known: no cut cell has others.
         reach: the same near free ends, behind which cells of nodes count that the surface may divide; in sizes of the
-            largest cell of the nodes with which it has a cell in common.
+            largest cell of the nodes with which it has a cell in common. One surface needs 2; where three leaflets meet
+            2.5 is too little.
         continued: how far a surface is continued behind these where its continuation counts as cutting a cell.
         beyond: distance from these up to which cells that the continuation cuts are known by the signed distance.
         covering: how what it covers is found.
