@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, splu
 
 from coudalfish.step.method import Stepping
 from coudalfish.surface.exchange import along_normals, tractions
@@ -12,6 +13,11 @@ from coudalfish.surface.meeting import NormalForces
 from coudalfish.surface.sheets import Sheets
 from tigar_x.compat import FloatArray
 from tigar_x.splines.spline import ExtractedSpline
+
+SHIFT = 1e-8
+"""What is added to the matrix of the functions' products, relative to its largest, so that it can be factored."""
+CORRECTIONS = 3
+"""Repetitions that take it away: each leaves it over the least eigenvalue of functions that do not depend."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +157,10 @@ def _with_own(G: sp.csr_matrix, own: NormalForces) -> tuple[sp.csr_matrix, sp.cs
     return sp.csr_matrix(G @ others + own.at_points @ place), sp.csr_matrix(own.beside @ place)
 
 
-def nearest_coefficients(N: sp.csr_matrix, W: FloatArray) -> FloatArray:
+def nearest_coefficients(N: sp.csr_matrix, W: FloatArray) -> LinearOperator:
     """From multipliers to the coefficients of the functions that are nearest to them in the mean over areas.
+
+    Of functions that depend on each other at the points, which they do where they are finer, they are the smallest.
 
     Args:
         N: functions at the points, shape (points, functions).
@@ -161,5 +169,15 @@ def nearest_coefficients(N: sp.csr_matrix, W: FloatArray) -> FloatArray:
     Returns:
         Shape (functions, points).
     """
-    root = np.sqrt(W)
-    return np.asarray(np.linalg.pinv(root[:, None] * N.toarray(), rcond=1e-10) * root)
+    weighted = sp.csr_matrix(N.T @ sp.diags(W))
+    products = sp.csc_matrix(weighted @ N)
+    shift = SHIFT * products.diagonal().max() * sp.identity(N.shape[1], format="csc")
+    solve = splu(products + shift, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve
+
+    def fitted(lam: FloatArray) -> FloatArray:
+        c = solve(weighted @ lam)
+        for _ in range(CORRECTIONS):
+            c = c + solve(weighted @ (lam - N @ c))
+        return np.asarray(c)
+
+    return LinearOperator(N.shape[::-1], matvec=fitted, matmat=fitted, dtype=np.float64)

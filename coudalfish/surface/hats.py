@@ -1,20 +1,21 @@
 """Hat functions on the reference surface of a shell, coarser than its points: what a converged multiplier is made of.
 
 A grid of its own lies over every patch, in lengths along the patch's own parameters, so that patches that are mirror
-images have mirrored functions whatever the directions of their parameters. At joints of curves the functions go on.
+images have mirrored functions whatever the directions of their parameters. At joints the functions go on, and at a pole
+there is one.
 """
+
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
+from coudalfish.surface.grids import DIGITS, Grids, tensor_points
 from coudalfish.surface.sheets import Sheets
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.splines.spline import ExtractedSpline
 
-SAME_PARAMETER = 1e-9
-"""Difference of parameters, relative to the patch, within which points are in one line of its grid."""
 SMALL = 0.2
 """Area of a hat function relative to that of a cell of the grid below which it is merged with a neighbour."""
 
@@ -36,81 +37,63 @@ def hat_functions(spline: ExtractedSpline, sheets: Sheets, weights: FloatArray, 
     """
     checks.positive("size", size)
     functions, xi = spline.geometry.functions, spline.scalar.V.tabulate_dof_coordinates()[:, : spline.dim]
-    patch, X = functions.patch_of(xi), spline.node_positions
-    blocks, rows = [], []
-    for k in range(len(functions.bases)):
-        mine = np.flatnonzero(patch == k)
-        blocks.append(_patch_functions(xi[mine], X[mine], size))
-        rows.append(mine)
-    N = sp.block_diag(blocks, format="csc")
-    N = N[:, np.diff(N.indptr) > 0].tocsr()[np.argsort(np.concatenate(rows))]  # elements may be larger than functions
-    if spline.dim == 1:
-        N = _joined(N, sheets.joints)
+    patch = functions.patch_of(xi)
+    numbers = [np.flatnonzero(patch == k) for k in range(len(functions.bases))]
+    grids = Grids([tensor_points(xi[mine], mine) for mine in numbers], sheets, size)
+    N = _summed(grids.functions(), grids.united()).tocsc()
+    N = N[:, np.diff(N.indptr) > 0].tocsr()  # elements may be larger than functions
     N = _without_small_ones(N, weights, SMALL * size**spline.dim)
     return sp.csr_matrix(sp.diags(sheets.sign) @ N)
 
 
-def _patch_functions(xi: FloatArray, X: FloatArray, size: float) -> sp.csr_matrix:
-    """Products of hat functions of the lengths along the parameters, shape (points, functions)."""
-    box = np.ptp(xi, axis=0)
-    lines = [np.unique(np.round(x / (s * SAME_PARAMETER)), return_inverse=True) for x, s in zip(xi.T, box, strict=True)]
-    places: list[IntArray] = [place.ravel() for _, place in lines]
-    shape = tuple(len(values) for values, _ in lines)
-    if np.prod(shape) != len(xi):
-        raise ValueError(f"{len(xi)} points of a patch are no tensor grid of {shape}: tensor cells are required")
-    grid = X[np.lexsort(places[::-1])].reshape(*shape, -1)
-    result = sp.csr_matrix(np.ones((len(xi), 1)))
-    for k, place in enumerate(places):
-        steps = np.linalg.norm(np.diff(grid, axis=k), axis=-1)
-        steps = steps.mean(axis=tuple(i for i in range(len(shape)) if i != k))
-        along = np.append(0.0, np.cumsum(steps))[place]
-        result = _products(result, _hats(along, along.max(), size))
-    return result
-
-
-def _hats(s: FloatArray, length: float, size: float) -> sp.csr_matrix:
-    """Hat functions of a length on equal cells, shape (points, functions)."""
-    cells = max(1, round(length / size))
-    r = s * cells / length
-    low = np.minimum(r.astype(np.int32), cells - 1)
-    t = r - low
-    rows = np.arange(len(s))
-    values = (np.concatenate([1.0 - t, t]), (np.concatenate([rows, rows]), np.concatenate([low, low + 1])))
-    N = sp.csr_matrix(values, shape=(len(s), cells + 1))
-    N.eliminate_zeros()
-    return N
-
-
-def _products(A: sp.csr_matrix, B: sp.csr_matrix) -> sp.csr_matrix:
-    """All products of a function of A with one of B."""
-    a, b = sp.kron(A, np.ones((1, B.shape[1])), format="csr"), sp.kron(np.ones((1, A.shape[1])), B, format="csr")
-    return a.multiply(b).tocsr()
-
-
-def _joined(N: sp.csr_matrix, joints: IntArray) -> sp.csr_matrix:
-    """The same functions with those summed that are one at both points of a joint."""
-    ends = np.asarray(N.argmax(axis=1)).ravel()[joints]
-    pairs = sp.coo_matrix((np.ones(len(ends)), ends.T), shape=(N.shape[1],) * 2)
-    number, column = connected_components(pairs, directed=False)
-    return N @ sp.csr_matrix((np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), number))
+def _summed(N: sp.csr_matrix, column: IntArray) -> sp.csr_matrix:
+    """Sums of the functions that get the same number."""
+    shape = len(column), int(column.max()) + 1
+    return sp.csr_matrix(N @ sp.csr_matrix((np.ones(shape[0]), (np.arange(shape[0]), column)), shape=shape))
 
 
 def _without_small_ones(N: sp.csr_matrix, weights: FloatArray, least: float) -> sp.csr_matrix:
-    """The same functions, of which the smallest is added to the one that it overlaps most, until all have an area."""
-    area, overlap = N.T @ weights, (N.T @ sp.diags(weights) @ N).toarray()
-    np.fill_diagonal(overlap, 0.0)
-    column = np.arange(N.shape[1])
-    while area.min() < least:
+    """The same functions, of which the smallest is added to the one that it overlaps most, until all have an area.
+
+    Where it overlaps several alike it is added to the smallest of them; where those are alike too, as at the axis of a
+    symmetric patch, they become one function.
+    """
+    area, column = np.round(N.T @ weights / least, DIGITS), np.arange(N.shape[1])
+    if area.min() >= 1.0:
+        return N
+    overlap = sp.csr_matrix(N.T @ sp.diags(weights) @ N)
+    beside = [
+        dict(zip(overlap.indices[a:b].tolist(), overlap.data[a:b].tolist(), strict=True))
+        for a, b in pairwise(overlap.indptr)
+    ]
+    for k, shared in enumerate(beside):
+        shared.pop(k, None)
+    while area.min() < 1.0:
         small = int(area.argmin())
-        other = int(overlap[small].argmax())
-        if overlap[small, other] > 0.0:
-            area[other] += area[small]
-            overlap[other] += overlap[small]
-            overlap[:, other] += overlap[:, small]
-            overlap[other, other] = 0.0
-            column[column == small] = other
-        area[small], overlap[small], overlap[:, small] = np.inf, 0.0, 0.0  # merged, or a piece of its own
-    kept, column = np.unique(column, return_inverse=True)
-    return N @ sp.csr_matrix(
-        (np.ones(len(column)), (np.arange(len(column)), column.ravel())), shape=(len(column), len(kept))
-    )
+        others = _alike(beside[small], area)
+        for k in others[1:] + [small] * bool(others):
+            area[others[0]] = round(area[others[0]] + area[k], DIGITS)
+            _move(beside, k, others[0])
+            column[column == k] = others[0]
+            area[k] = np.inf
+        area[small] = np.inf  # merged, or a piece of its own
+    return _summed(N, np.unique(column, return_inverse=True)[1].ravel())
+
+
+def _alike(shared: dict[int, float], area: FloatArray) -> list[int]:
+    """Which functions one that shares such areas with them is added to; the first is to keep its number."""
+    largest = max(shared.values(), default=0.0)
+    if largest <= 0.0:
+        return []
+    most = sorted(k for k, value in shared.items() if round(value / largest, DIGITS) == 1.0)
+    least = min(area[k] for k in most)
+    return [k for k in most if area[k] == least]
+
+
+def _move(beside: list[dict[int, float]], k: int, to: int) -> None:
+    """Make all that a function shares with others another one's."""
+    for other, value in beside[k].items():
+        del beside[other][k]
+        if other != to:
+            beside[to][other] = beside[other][to] = beside[to].get(other, 0.0) + value
+    beside[k].clear()
