@@ -29,7 +29,7 @@ Side = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class GridLine:
     """Cells of equal lengths along one direction of patches.
 
     Attributes:
@@ -125,7 +125,7 @@ class Grids:
         sides = list(product(range(len(points)), range(self._dim), (0, 1)))
         self._poles = [side for side in sides if self._collapsed(side)]
         self._joints = _joints({side: sheets.places[self._along(side)] for side in sides if side not in self._poles})
-        self.lines: dict[tuple[int, int], Line] = {}
+        self.lines: dict[tuple[int, int], GridLine] = {}
         self.backwards: dict[tuple[int, int], bool] = {}
         for linked in self._linked():
             line = self._line(linked, size)
@@ -170,7 +170,7 @@ class Grids:
             groups.append(group)
         return groups
 
-    def _line(self, linked: list[tuple[int, int]], size: float) -> Line:
+    def _line(self, linked: list[tuple[int, int]], size: float) -> GridLine:
         """Cells of the mean length of directions that are linked."""
         steps = []
         for k, d in linked:
@@ -179,7 +179,7 @@ class Grids:
             steps.append(rows[::-1] if self.backwards[k, d] else rows)
         mean = np.concatenate(steps, axis=1).mean(axis=1)
         along = np.append(0.0, np.cumsum(mean))
-        return Line(along, max(1, round(round(along[-1] / size, DIGITS))))
+        return GridLine(along, max(1, round(round(along[-1] / size, DIGITS))))
 
     # -- functions ----------------------------------------------------------------------------------------------------
 
