@@ -5,7 +5,7 @@ import pytest
 import restarted
 from mpi4py import MPI
 from dome import TIGHT, dome
-from space import IN_SPACE, HeldSurface, Sphere
+from space import IN_SPACE, HeldSurface, Pair, Sphere
 from surface import setting_of
 
 from coudalfish import CouplingOptions
@@ -97,6 +97,15 @@ def test_a_closed_sphere_keeps_what_is_in_it():
     """With a multiplier that lags a twentieth of it is lost."""
     found = Sphere(6, steps=3).run(setting_of("sharp", IN_SPACE))
     assert abs(found.figures["volume"]) < 1e-3
+
+
+@pytest.mark.parametrize("apart", [0.3, 0.5])
+def test_of_two_tilted_sheets_with_a_film_between_one_carries_the_jump(apart):
+    """Nodes lie between them in some places. Signs from the nearest sheet leave speeds of 160 to 200."""
+    pair = Pair(apart, slope=(0.31, 0.17), n=6, steps=4)
+    found = pair.run(setting_of("jump", IN_SPACE))
+    assert found.figures["highest"] < 1e-2
+    assert found.figures["force"] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_the_pressure_in_a_sphere_is_that_of_its_tension():

@@ -140,7 +140,15 @@ class FluidSubproblem:
         return f"FluidSubproblem({', '.join(parts)})"
 
     def place(
-        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, *, scale_m: float, scale_c: float
+        self,
+        meeting: Meeting,
+        sheets: Sheets,
+        x: FloatArray,
+        v: FloatArray,
+        load: FloatArray,
+        *,
+        scale_m: float,
+        scale_c: float,
     ) -> Meeting:
         """Prepare the flow for a surface that has been placed in it (collective).
 
@@ -149,6 +157,7 @@ class FluidSubproblem:
             sheets: how its points hang together.
             x: their positions, shape (points, d); unit: length.
             v: their velocities, same shape; unit: length/time.
+            load: multiplier that the step starts from, same shape; unit: force/area.
             scale_m: factor of tau_M near the surface.
             scale_c: divisor of tau_C there.
 

@@ -98,7 +98,9 @@ class Divided(Protocol):
 class Dividing(Protocol):
     """What finds out how a surface divides a mesh."""
 
-    def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Divided, Meeting]:
+    def __call__(
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
+    ) -> tuple[Divided, Meeting]:
         """What is divided, and how the surface meets that (collective).
 
         Args:
@@ -106,6 +108,7 @@ class Dividing(Protocol):
             sheets: how its points hang together.
             x: their positions, shape (points, d); unit: length.
             v: their velocities, same shape; unit: length/time.
+            load: multiplier that the step starts from, same shape; unit: force/area.
         """
 
     @property
@@ -164,10 +167,18 @@ class SidedFluid(FluidSubproblem):
         return DoubledSystem(residual, self.timeInt.x, bcs, self.sides.doubled, **options)
 
     def place(
-        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, *, scale_m: float, scale_c: float
+        self,
+        meeting: Meeting,
+        sheets: Sheets,
+        x: FloatArray,
+        v: FloatArray,
+        load: FloatArray,
+        *,
+        scale_m: float,
+        scale_c: float,
     ) -> Meeting:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem` (collective); there are no scales."""
-        found, meets = self._dividing(meeting, sheets, x, v)
+        found, meets = self._dividing(meeting, sheets, x, v, load)
         self._divide(found)
         return meets
 

@@ -152,7 +152,8 @@ class Step:
             self.n = self.shell.normals()
         v = ranks.first(self.comm, self.shell.velocity())
         scales = {"scale_m": self.options.scale_m, "scale_c": self.options.scale_c}
-        meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, v, **scales)
+        load = exchange.tractions(self.lam, self.n)
+        meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, v, load, **scales)
         self.meeting = meeting
         self.inactive, self.W, self.trace = int((~meeting.active).sum()), meeting.W, meeting.trace
         self.multiplier = self.method.begin(self)

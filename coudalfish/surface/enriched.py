@@ -5,10 +5,11 @@ cut. At free ends a node takes part if at least half of where the signed distanc
 two ends touch the surface is tight, and a gap of a cell and more lets the fluid through.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -73,6 +74,23 @@ RULES = {
     3: Rules(1e-8, near=1.1, reach=3.0, continued=1.0, beyond=2.0, covering=by_surfaces, is_local=True),
 }
 """By the dimension of space."""
+
+
+class Films(Protocol):
+    """Films between sheets that are too thin for the mesh, see :class:`coudalfish.surface.films.Films`."""
+
+    def past(self, edges: IntArray, nearest: IntArray) -> Any:
+        """Mask of edges that lead past them."""
+
+    def wishes(self, number: int) -> FloatArray:
+        """Which signs of normals sheets wish that have a film between them."""
+
+    def signed_distance(self, turned: FloatArray) -> FloatArray:
+        """From the sheets that carry the jump of the pressure."""
+
+
+FindFilms = Callable[[FloatArray, Any, FloatArray], Films]
+"""From nodes, their nearest places and the sizes of the cells around them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,15 +191,22 @@ class Enriching:
         zero = ZeroSet.of(cut, np.empty((0, d + 1, d)))
         return Enrichment(np.full(nodes, np.nan), cut, zero, *np.zeros((2, nodes), dtype=bool))
 
-    def __call__(self, interface: Interface, meeting: Meeting | None = None, v: FloatArray | None = None) -> Enrichment:
+    def __call__(
+        self,
+        interface: Interface,
+        meeting: Meeting | None = None,
+        v: FloatArray | None = None,
+        films: FindFilms | None = None,
+    ) -> Enrichment:
         """By curves or surfaces where they are (collective).
 
         Args:
             interface: the curves or surfaces.
             meeting: how they meet the mesh, by which the signed distance is corrected; None: it is not.
             v: velocities of their points, shape (points, d); unit: length/time. None: they rest.
+            films: finds films between sheets; None: they are not looked for.
         """
-        phi, near = self._distances(interface)
+        phi, near = self._distances(interface, films)
         if meeting is not None:
             phi = self._on_line(self._centred(phi, meeting))
         cut = CutCells.of(self.vertices, phi)
@@ -225,7 +250,7 @@ class Enriching:
         """Values of which those are zero that rounding alone keeps from it: 0 counts as positive on every rank."""
         return np.where(np.abs(phi) <= ON_LINE * self._largest, 0.0, phi)
 
-    def _distances(self, interface: Interface) -> tuple[FloatArray, Nearest]:
+    def _distances(self, interface: Interface, films: FindFilms | None) -> tuple[FloatArray, Nearest]:
         """Signed distances of the nodes, by normals of which those of different sheets agree (collective).
 
         Half way between two sheets the side changes for no reason where their normals do not, and which way they are
@@ -243,14 +268,21 @@ class Enriching:
         nearest = near.sheet()
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
+        thin = None if films is None else films(self.x, near, self._of_nodes)
+        if thin is not None:
+            between[between] = thin.past(edges[between], nearest[edges[between]])
         edges, several = np.unique(np.sort(edges[between], axis=1), axis=0, return_counts=True)
         a, b = nearest[edges].T
         negative = phi[edges] < 0.0
         apart = interface.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far[edges].max(axis=1))
         votes = np.zeros((number, number))
         np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, several, -several))
+        if thin is not None:
+            votes += thin.wishes(number)
         self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
         turned = agreeing(votes + votes.T)
+        if thin is not None:
+            return thin.signed_distance(turned), near
         return np.where(nearest < 0, phi, turned[nearest] * phi), near
 
     def _covered(self, cut: CutCells, interface: Interface) -> tuple[ZeroSet, Any, ZeroSet]:

@@ -17,7 +17,9 @@ from tigar_x.compat import FloatArray
 class DividedPlane(DividedMesh):
     """A mesh of triangles that curves divide, see :class:`coudalfish.sides.sided_fluid.Dividing`."""
 
-    def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Enrichment, Meeting]:
+    def __call__(
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
+    ) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
         found = self._enriching(Curves.of(sheets, x), meeting, v if self._kinked else None)
         phi, divided = found.known, np.zeros(len(self._enriching.vertices), dtype=bool)

@@ -1,8 +1,11 @@
 """How surfaces divide a flow in space, and where they see it: on the polygons on which the signed distance is zero."""
 
+from functools import partial
+
 from coudalfish.surface.boundary import net_in
 from coudalfish.surface.divided_mesh import DividedMesh
 from coudalfish.surface.enriched import Enrichment
+from coudalfish.surface.films import Films
 from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.net import Net
@@ -26,14 +29,16 @@ class DividedSpace(DividedMesh):
 
     _net: tuple[Sheets, Net, FloatArray] | None = None
 
-    def __call__(self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray) -> tuple[Enrichment, Meeting]:
+    def __call__(
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
+    ) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
         if self._net is None or self._net[0] is not sheets:
             net = net_in(self._space.mesh, sheets, ATTACHED * self._size)
             self._net = sheets, net, Surfaces(sheets.X, net).triangles.areas
         _, net, at_rest = self._net
         surfaces = Surfaces(x, net)
-        found = self._enriching(surfaces, meeting, v if self._kinked else None)
+        found = self._enriching(surfaces, meeting, v if self._kinked else None, partial(Films, surfaces, load))
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
         points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
         hats, areas = points.on(

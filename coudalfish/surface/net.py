@@ -47,6 +47,12 @@ class Net:
         turned = sheets.sign[sheets.cells[:, 0]] < 0.0
         return cls(np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells), sheets.places, attached)
 
+    @cached_property
+    def alone(self) -> tuple["Net", ...]:
+        """The connected sheets, each by itself."""
+        sheet = self.sheet[:: self.parts]
+        return tuple(Net(self.cells[sheet == k], self.place, self.attached) for k in range(sheet.max(initial=-1) + 1))
+
     @property
     def parts(self) -> int:
         """Triangles of which a cell is made."""

@@ -61,6 +61,10 @@ class Surfaces:
         """Where the cells are."""
         return Balls.of(self.triangles, self.net.parts)
 
+    def alone(self, k: int) -> "Surfaces":
+        """One of the connected surfaces."""
+        return Surfaces(self.x, self.net.alone[k])
+
     def nearest(self, x: FloatArray, *sought: Sought) -> "NearestOnSurfaces":
         """Nearest places of the surfaces to points.
 
@@ -270,6 +274,12 @@ class NearestOnSurfaces:
         normal = self.surfaces.normals[self.triangle[k], self.kind[k]]
         side, distance = -np.einsum("pi,pi->p", self.gap[k], normal), self.distance[k]
         return self._spread(np.where(self._beyond[k], side, np.where(side < 0.0, -distance, distance)), np.nan)
+
+    def gaps(self) -> FloatArray:
+        """From the nearest places to the points, zero where one is farther, shape (m, 3); unit: length."""
+        result = np.zeros((self.count, 3))
+        result[self.point[self._first]] = self.gap[self._first]
+        return result
 
     def sheet(self) -> IntArray:
         """Number of the nearest sheet, -1 where a point is farther, shape (m,)."""
