@@ -60,14 +60,14 @@ class Films:
         self, surfaces: Surfaces, load: FloatArray, x: FloatArray, near: NearestOnSurfaces, sizes: FloatArray
     ) -> None:
         self._sheet, self._phi = near.sheet(), near.signed_distance()
-        gap, pushed, covered, first = near.gaps(), near.values(load), near.covered(), self._phi
+        gap, pushed, covered, first = _gaps(near), near.values(load), near.covered(), self._phi
         self._films = []
         for k in range(surfaces.sheets):
             here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k) & covered)
             if not len(here):
                 continue
             other = surfaces.alone(k).nearest(x, Sought(here, np.abs(first[here]) + FILM * sizes[here]))
-            gaps, distance = other.gaps(), other.signed_distance()
+            gaps, distance = _gaps(other), other.signed_distance()
             here = here[other.covered()[here]]
             away = gap[here] - gaps[here]
             close = np.linalg.norm(away, axis=1) <= FILM * sizes[here]
@@ -119,6 +119,14 @@ class Films:
             carries = above & ((towards < 0.0) | ((towards == 0.0) & (film.other < here)))
             result[film.nodes[carries]] = turned[film.other] * film.distance[carries]
         return result
+
+
+def _gaps(near: NearestOnSurfaces) -> FloatArray:
+    """From the nearest places to the points, zero where one is farther, shape (m, 3); unit: length."""
+    result = np.zeros((near.count, 3))
+    point, first = np.unique(near.point, return_index=True)
+    result[point] = near.gap[first]
+    return result
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -275,12 +275,6 @@ class NearestOnSurfaces:
         side, distance = -np.einsum("pi,pi->p", self.gap[k], normal), self.distance[k]
         return self._spread(np.where(self._beyond[k], side, np.where(side < 0.0, -distance, distance)), np.nan)
 
-    def gaps(self) -> FloatArray:
-        """From the nearest places to the points, zero where one is farther, shape (m, 3); unit: length."""
-        result = np.zeros((self.count, 3))
-        result[self.point[self._first]] = self.gap[self._first]
-        return result
-
     def sheet(self) -> IntArray:
         """Number of the nearest sheet, -1 where a point is farther, shape (m,)."""
         return self._spread(self.surfaces.net.sheet[self.triangle[self._first]], -1)
