@@ -1,11 +1,14 @@
 """Nodes of tetrahedra that surfaces enrich: closed surfaces, plates with edges, gaps, several sheets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 from dolfinx import mesh
 from test_nearest_surfaces import cube, grid, surfaces
 
+from coudalfish.surface import enriched
 from coudalfish.surface.enriched import Enriching
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat
@@ -117,6 +120,23 @@ def test_sizes_of_cells_nearby_are_enough(name, make):
     known = (np.isfinite(found.phi).sum() for found in (few, whole))
     few, whole = (COMM.allreduce(int(number)) for number in known)
     assert few == whole if make is enriching else few < whole
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sides_are_known_far_enough_behind_free_edges(seed, monkeypatch):
+    """Plates that lie anywhere enrich the same nodes if sides are known farther from them."""
+    rng, masks = np.random.default_rng(seed), []
+    parts = []
+    for _ in range(2):
+        frame, center = np.linalg.qr(rng.standard_normal((3, 3)))[0], rng.uniform(0.35, 0.65, 3)
+        parts.append(grid(6, lambda u, v, f=frame, c=center: c + 0.5 * np.column_stack([u - 0.5, v - 0.5]) @ f[:2]))
+    rules = enriched.RULES[3]
+    for known in (rules, replace(rules, near=2.5, reach=6.0)):
+        monkeypatch.setitem(enriched.RULES, 3, known)
+        e = enriching(9, MPI.COMM_SELF)
+        masks.append([np.array([found.jump, found.kink]) for found in (e(surfaces(part)) for part in parts)])
+    assert np.count_nonzero(masks[0]) > 100
+    np.testing.assert_array_equal(*masks)
 
 
 def test_nothing_is_divided_beyond_a_free_edge():

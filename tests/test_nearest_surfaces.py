@@ -177,6 +177,8 @@ def test_lines_that_cross_a_surface_or_its_continuation():
     end = np.array([[0.4, 0.1, 0.1], [0.3, 0.4, 0.9], [1.1, 0.5, 0.1], [1.5, 0.5, 0.1], [0.3, 1.1, 1.5]])
     np.testing.assert_array_equal(plate.crossed(start, end, 1e-9), [True, False, False, False, True])
     np.testing.assert_array_equal(plate.crossed(start, end, 0.2), [True, False, True, False, True])
+    of_each = np.array([0.2, 0.2, 0.05, 0.6, 0.2])
+    np.testing.assert_array_equal(plate.crossed(start, end, of_each), [True, False, False, True, True])
     assert plate.crossed(start[:0], end[:0], 0.2).shape == (0,)
 
 
