@@ -1,7 +1,5 @@
 """Nodes of tetrahedra that surfaces enrich: closed surfaces, plates with edges, gaps, several sheets."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -130,9 +128,9 @@ def test_sides_are_known_far_enough_behind_free_edges(seed, monkeypatch):
     for _ in range(2):
         frame, center = np.linalg.qr(rng.standard_normal((3, 3)))[0], rng.uniform(0.35, 0.65, 3)
         parts.append(grid(6, lambda u, v, f=frame, c=center: c + 0.5 * np.column_stack([u - 0.5, v - 0.5]) @ f[:2]))
-    rules = enriched.RULES[3]
-    for known in (rules, replace(rules, near=2.5, reach=6.0)):
-        monkeypatch.setitem(enriched.RULES, 3, known)
+    for near, reach in ((enriched.NEAR, enriched.REACH), (2.5, 6.0)):
+        monkeypatch.setattr(enriched, "NEAR", near)
+        monkeypatch.setattr(enriched, "REACH", reach)
         e = enriching(9, MPI.COMM_SELF)
         masks.append([np.array([found.jump, found.kink]) for found in (e(surfaces(part)) for part in parts)])
     assert np.count_nonzero(masks[0]) > 100

@@ -12,11 +12,9 @@ from tigar_x.fem.simplices import Division
 AROUND = 0.5
 """Distance of where the signed distance is zero from what covers it, in sizes of the cell: nothing farther does."""
 AT_END = 2.0
-"""Distance from a free end, likewise, up to which lines are asked by samples what the curve covers of them."""
-FAR = 4.0
-"""That of what covers samples, likewise."""
+"""Distance from free ends, likewise, up to which nodes may be enriched whose cells the surface does not cover whole."""
 SAMPLES = 16
-"""Parts of such a line, each of which is asked whether the curve covers its middle."""
+"""Parts of a line near a free end, each of which is asked whether the curve covers its middle."""
 FINER = 4
 """Parts of an edge into which is divided what may lie on a free edge of a surface: narrower gaps are none."""
 
@@ -42,7 +40,7 @@ def by_curves(zero: ZeroSet, curves: Interface, sizes: FloatArray, covered: Any)
     if not at_end.any():
         return zero.only(covered)
     samples, *_ = zero.only(at_end).divided(SAMPLES)
-    middles, reach = samples.middles(), FAR * np.repeat(sizes[at_end], SAMPLES)
+    middles, reach = samples.middles(), AROUND * np.repeat(sizes[at_end], SAMPLES)
     there = curves.nearest(middles, Sought(np.arange(len(middles)), reach)).covered()
     return zero.only(covered & ~at_end).joined(samples.only(there))
 

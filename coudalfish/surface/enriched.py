@@ -16,7 +16,7 @@ from mpi4py import MPI
 from dolfinx import fem
 from scipy.spatial import cKDTree
 
-from coudalfish.surface.covering import AROUND, Covering, by_curves, by_surfaces
+from coudalfish.surface.covering import AROUND, AT_END, Covering, by_curves, by_surfaces
 from coudalfish.surface.cut_cells import CutCells
 from coudalfish.surface.interface import Interface, Nearest, Sought
 from coudalfish.surface.meeting import Meeting
@@ -24,6 +24,8 @@ from coudalfish.surface.polygons import ZeroSet
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 
+DIVIDED = {2: 1e-5, 3: 1e-8}
+"""Share of the volume of a node's cells that each part has to have for its pressure to jump, by the dimension."""
 SLIVER = 1e-6
 """Share of a cell below which its velocity is not kinked: it bends as good as nowhere."""
 COVERED = 0.5
@@ -40,40 +42,17 @@ BESIDE = 0.1
 """Distance of the zero line from a place on the curve, relative to the cell, beyond which it is another curve's."""
 ALONG = 1e-12
 """Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
+NEAR = 1.1
+"""Distance of a node from the surface, in sizes of its largest cell, up to which sides are known: no cut cell has
+others."""
+REACH = 3.0
+"""The same near free ends, behind which cells of nodes count that the surface may divide; in sizes of the largest cell
+of the nodes with which it has a cell in common. One surface needs 2; where three leaflets meet 2.5 is too little."""
+CONTINUED = 1.0
+"""How far a surface is continued behind its free ends where that counts as cutting a cell, in sizes of the cell: half
+way between two surfaces the sign changes as well, and farther continuations meet that by chance."""
 ON_LINE = 1e-12
 """Distance, in sizes of the largest cell, within which a node lies on the surface: its side is not left to rounding."""
-
-
-@dataclass(frozen=True)
-class Rules:
-    """What is not the same in the plane and in space; distances are in sizes of cells.
-
-    Attributes:
-        divided: share of the volume of a node's cells that each part has to have for its pressure to jump.
-        near: distance of a node from the surface up to which its side is known: no cut cell has others.
-        reach: the same near free ends, behind which cells of nodes count that the surface may divide; in sizes of the
-            largest cell of the nodes with which it has a cell in common. One surface needs 2; where three leaflets meet
-            2.5 is too little.
-        continued: how far a surface is continued behind these where its continuation counts as cutting a cell.
-        beyond: distance from these up to which cells that the continuation cuts are known by the signed distance.
-        covering: how what it covers is found.
-        is_local: whether sizes are those of the cells nearby, and not that of the largest cell of the mesh.
-    """
-
-    divided: float
-    near: float
-    reach: float
-    continued: float
-    beyond: float
-    covering: Covering
-    is_local: bool
-
-
-RULES = {
-    2: Rules(1e-5, near=1.5, reach=4.0, continued=4.0, beyond=0.0, covering=by_curves, is_local=False),
-    3: Rules(1e-8, near=1.1, reach=3.0, continued=1.0, beyond=2.0, covering=by_surfaces, is_local=True),
-}
-"""By the dimension of space."""
 
 
 class Films(Protocol):
@@ -136,7 +115,7 @@ class Enriching:
         vertices: those of the cells, shape (cells, d + 1).
         corners: where these are, shape (cells, d + 1, d); unit: length.
         owned: number of the cells that are this rank's, which are the first.
-        sizes: lengths of the longest edges of the cells, in the plane of all of the mesh, shape (cells,).
+        sizes: lengths of the longest edges of the cells, shape (cells,).
     """
 
     def __init__(self, space: fem.FunctionSpace, *, kinked: bool) -> None:
@@ -146,8 +125,9 @@ class Enriching:
         self.x = space.tabulate_dof_coordinates()[:, : space.mesh.geometry.dim]
         self._tree, self._every = cKDTree(self.x), np.arange(len(self.x))
         self.corners = self.x[self.vertices]
-        d = self.x.shape[1]
-        self._rules, self._edges = RULES[d], np.array(list(combinations(range(d + 1), 2)))
+        self._d = self.x.shape[1]
+        self._edges = np.array(list(combinations(range(self._d + 1), 2)))
+        self._covering: Covering = by_curves if self._d == 2 else by_surfaces
         arms = self.corners[:, 1:] - self.corners[:, :1]
         self._volumes = np.abs(np.linalg.det(arms))  # but for a factor
         self._set_sizes(space)
@@ -160,10 +140,6 @@ class Enriching:
         ends = self.corners[:, self._edges]
         self.sizes = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
         self._largest = self._comm.allreduce(float(self.sizes.max(initial=0.0)), op=MPI.MAX)
-        if not self._rules.is_local:
-            self.sizes, self._of_nodes = (np.full(len(of), self._largest) for of in (self.vertices, self.x))
-            self._of_neighbours = self._of_nodes
-            return
         self._of_nodes = self._largest_around(space, self.sizes)
         self._of_neighbours = self._largest_around(space, self._of_nodes[self.vertices].max(axis=1))
 
@@ -215,7 +191,7 @@ class Enriching:
         mine = np.where(real & (cut.cells < self.owned), 1.0, 0.0)[:, None]
         other = np.where(cut.values < 0.0, 1.0 - share, share)
         other = self._total(nodes, mine * other * self._volumes[cut.cells, None])
-        least = self._rules.divided
+        least = DIVIDED[self._d]
         jump = (other > least * self._support) & (other < (1.0 - least) * self._support)
         whole, found = (self._total(nodes, of.of_cells(of.sizes())[:, None] * mine) for of in (zero, covered))
         enough = found >= COVERED * (1.0 - ROUNDED) * whole
@@ -258,8 +234,8 @@ class Enriching:
         neighbourhood of the one into that of the other most stay on one side, or have two sides where they cross a
         sheet or its continuation: two sheets in one cell are as good as one. The first one keeps its normals.
         """
-        far = self._rules.reach * self._of_neighbours
-        ends, nearby = interface.near_ends(self.x, far), self._rules.near * self._of_nodes
+        far = REACH * self._of_neighbours
+        ends, nearby = interface.near_ends(self.x, far), NEAR * self._of_nodes
         near = interface.nearest(self.x, Sought(self._every, nearby, self._tree), Sought(ends, far[ends]))
         phi, number = self._on_line(near.signed_distance()), interface.sheets
         if number < 2:
@@ -290,20 +266,20 @@ class Enriching:
 
         In other cells the sign changes as they are half way between two surfaces, shape (cut,).
         """
-        rules, corners, sizes = self._rules, self.corners[cut.cells], self.sizes[cut.cells]
+        corners, sizes = self.corners[cut.cells], self.sizes[cut.cells]
         zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
         middles, around = zero.middles(), far[zero.rows]
-        at_ends = interface.near_ends(middles, rules.beyond * around)
+        at_ends = interface.near_ends(middles, AT_END * around)
         everywhere = Sought(np.arange(len(middles)), AROUND * sizes[zero.rows])
-        near = interface.nearest(middles, everywhere, Sought(at_ends, rules.reach * around[at_ends]))
+        near = interface.nearest(middles, everywhere, Sought(at_ends, REACH * around[at_ends]))
         off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
         real = zero.of_cells(np.where(off <= OFF_LINE * largest[zero.rows], 0.0, 1.0)) == 0.0
         a, b = self._edges.T
         cell, edge = np.nonzero(((cut.values[:, a] < 0.0) != (cut.values[:, b] < 0.0)) & ~real[:, None])
         start, end = corners[cell, a[edge]], corners[cell, b[edge]]
-        real[cell[interface.crossed(start, end, rules.continued * sizes[cell])]] = True
+        real[cell[interface.crossed(start, end, CONTINUED * sizes[cell])]] = True
         kept = real[zero.rows]
-        covered = rules.covering(zero.only(kept), interface, sizes[zero.rows[kept]], near.covered()[kept])
+        covered = self._covering(zero.only(kept), interface, sizes[zero.rows[kept]], near.covered()[kept])
         return zero, real, covered
 
 
