@@ -216,6 +216,18 @@ def test_which_way_curves_are_parametrised_does_not_matter(ends):
     assert np.array_equal(found[-1].phi[near] < 0.0, found[0].phi[near] >= 0.0)  # the first curve keeps its normals
 
 
+def test_curves_in_a_star_divide_their_own_cells_alone():
+    """Half way between two of them the side changes as well, and the continuation of another one may lie there."""
+    e, center, parts = enriching(24), np.array([0.52, 0.54]), []
+    for angle in np.deg2rad([113.0, 183.0, 258.0, 336.0]):
+        parts.append(polyline(center + np.outer([0.026, 0.416], [np.cos(angle), np.sin(angle)])))
+    cut = e(several(*parts)).cut.cells
+    alone = np.unique(np.concatenate([e(part).cut.cells for part in parts]))
+    outer = np.linalg.norm(e.corners.mean(axis=1) - center, axis=1) > 0.09
+    np.testing.assert_array_equal(cut[outer[cut]], alone[outer[alone]])
+    assert outer[cut].sum() > 70
+
+
 def test_two_curves_in_one_cell_divide_it_as_one():
     """With normals that point at each other both far sides would be one."""
     ends = [(0.43, -0.1), (0.43, 1.1)], [(0.47, 1.1), (0.47, -0.1)]
