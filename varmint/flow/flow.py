@@ -64,9 +64,10 @@ class Flow(checks.Made):
         moving: motion of the mesh, with the same time step and scheme; None: it is fixed.
         solid: elastic solid in some cells of the mesh, which ``moving`` has to leave out; None: fluid alone.
         immersed: whether a surface may be immersed in the flow, with the best fields that the flow can have; or which:
-            "jump and kink" if pressure and velocity gradient differ on both sides (of degree 1 on triangles whose mesh
-            does not move, without a solid and Resistance), "jump" if the pressure does, "plain" if the equations have
-            factors of the stabilisation parameters near the surface instead.
+            "jump and kink" if pressure and velocity gradient differ on both sides (of degree 1 on triangles or
+            tetrahedra whose mesh does not move, without a solid and Resistance), the best in the plane; "jump" if the
+            pressure does; "plain" if the equations have factors of the stabilisation parameters near the surface
+            instead, the default in space.
         options: see there.
 
     Attributes:
