@@ -42,6 +42,9 @@ BESIDE = 0.1
 """Distance of the zero line from a place on the curve, relative to the cell, beyond which it is another curve's."""
 ALONG = 1e-12
 """Distance, likewise, that is none: signs of nodes on the curve are not left to rounding."""
+BEHIND = {2: 0.0, 3: AT_END}
+"""Distance from free ends, in sizes of cells, up to which the signed distance tells what continuations cut; elsewhere
+it is what crosses edges, by the dimension."""
 NEAR = 1.1
 """Distance of a node from the surface, in sizes of its largest cell, up to which sides are known: no cut cell has
 others."""
@@ -55,7 +58,7 @@ ON_LINE = 1e-12
 """Distance, in sizes of the largest cell, within which a node lies on the surface: its side is not left to rounding."""
 
 
-class Films(Protocol):
+class ThinFilms(Protocol):
     """Films between sheets that are too thin for the mesh, see :class:`coudalfish.surface.films.Films`."""
 
     def past(self, edges: IntArray, nearest: IntArray) -> Any:
@@ -68,7 +71,7 @@ class Films(Protocol):
         """From the sheets that carry the jump of the pressure."""
 
 
-FindFilms = Callable[[FloatArray, Any, FloatArray], Films]
+FindFilms = Callable[[FloatArray, Any, FloatArray], ThinFilms]
 """From nodes, their nearest places and the sizes of the cells around them."""
 
 
@@ -269,7 +272,7 @@ class Enriching:
         corners, sizes = self.corners[cut.cells], self.sizes[cut.cells]
         zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
         middles, around = zero.middles(), far[zero.rows]
-        at_ends = interface.near_ends(middles, AT_END * around)
+        at_ends = interface.near_ends(middles, BEHIND[self._d] * around)
         everywhere = Sought(np.arange(len(middles)), AROUND * sizes[zero.rows])
         near = interface.nearest(middles, everywhere, Sought(at_ends, REACH * around[at_ends]))
         off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
