@@ -136,6 +136,30 @@ def test_where_it_is_attached_a_surface_covers_what_is_behind():
     np.testing.assert_array_equal(plate.near_ends(x, 0.4), [1, 2])
 
 
+@pytest.mark.parametrize("within", [False, True])
+def test_at_the_poles_of_a_sphere_nothing_ends(within):
+    """Sides of patches without length: there triangles have no area, and no normal of their own."""
+    from tigar_x.geometry import surfaces as shapes
+    from tigar_x.geometry.gluing import glued
+    from tigar_x.geometry.patch import Patch
+    from tigar_x.splines.spline import ExtractedSpline
+
+    cap = shapes.sphere_cap(radius=1.0, angle=np.pi / 2.0, elements=(4, 8), degrees=(2, 2))
+    other = Patch.from_points(cap.bases, cap.points * [1.0, 1.0, -1.0], cap.weights)
+    sheets = Sheets.of(ExtractedSpline(glued(cap, other, within=within), MPI.COMM_SELF))
+    sphere = Surfaces(sheets.X, Net.of(sheets))
+    assert sphere.triangles.flat.sum() == 2 * 16
+    assert not sphere.net.ends.any()
+    x = np.concatenate([0.1 * RNG.standard_normal((200, 3)) + [0.0, 0.0, 1.0], [[0.0, 0.0, 1.3], [0.0, 0.0, -0.8]]])
+    near, away = nearest(sphere, x), np.linalg.norm(x, axis=1) - 1.0
+    inside = np.sign(near.signed_distance()[-1])
+    np.testing.assert_allclose(inside * near.signed_distance(), -away, atol=0.02)
+    assert near.covered().all()
+    np.testing.assert_allclose(near.functions().sum(axis=1), 1.0)
+    start, end = np.array([[0.0, 0.0, 0.5], [0.0, -0.3, 1.1]]), np.array([[0.0, 0.0, 1.5], [0.0, 0.3, 1.1]])
+    np.testing.assert_array_equal(sphere.crossed(start, end, 0.1), [True, False])
+
+
 def test_points_near_a_wall_or_beyond_it_are_attached_to_it():
     plate = surfaces(grid(4, lambda u, v: np.column_stack([1.25 * u - 0.25, v, 0.5 + 0.0 * u])))
     held = plate.attached_to(cube(2), 1e-6)

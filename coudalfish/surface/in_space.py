@@ -2,6 +2,8 @@
 
 from functools import partial
 
+import numpy as np
+
 from coudalfish.surface.boundary import net_in
 from coudalfish.surface.divided_mesh import DividedMesh
 from coudalfish.surface.enriched import Enrichment
@@ -41,9 +43,9 @@ class DividedSpace(DividedMesh):
         found = self._enriching(surfaces, meeting, v if self._kinked else None, partial(Films, surfaces, load))
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
         points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
-        hats, areas = points.on(
-            surfaces, surfaces.triangles.areas / at_rest, BESIDE * self._enriching.sizes[points.cells]
-        )
+        areas, flat = surfaces.triangles.areas, surfaces.triangles.flat
+        stretch = np.divide(areas, at_rest, out=np.ones_like(areas), where=~flat)
+        hats, areas = points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells])
         whole, comm = meeting.W, self._space.mesh.comm
         on = OnPolygons.of(points, hats, areas, self._enriching.vertices, whole, meeting, comm)
         if not self._kinked:

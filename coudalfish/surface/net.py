@@ -17,6 +17,8 @@ from tigar_x.compat import FloatArray, IntArray
 
 OPPOSITE = ((1, 2), (2, 0), (0, 1))
 """Corners of the edges of a triangle, by the corner opposite."""
+COLLAPSED = 1e-8
+"""Length of an edge at rest, relative to the longest one, up to which its ends are one place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +40,19 @@ class Net:
 
     @classmethod
     def of(cls, sheets: Sheets, attached: Any = None) -> "Net":
-        """The points of a shell.
+        """The points of a shell, of which those at a pole, a side of a patch without length, are in one place.
 
         Args:
             sheets: how its cells hang together.
             attached: see above.
         """
         turned = sheets.sign[sheets.cells[:, 0]] < 0.0
-        return cls(np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells), sheets.places, attached)
+        pairs = sheets.edges
+        lengths = np.linalg.norm(sheets.X[pairs[:, 0]] - sheets.X[pairs[:, 1]], axis=1)
+        pairs = sheets.places[pairs[lengths <= COLLAPSED * lengths.max(initial=0.0)]]
+        size = (int(sheets.places.max(initial=-1)) + 1,) * 2
+        _, united = connected_components(sp.coo_matrix((np.ones(len(pairs)), pairs.T), shape=size), directed=False)
+        return cls(np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells), united[sheets.places], attached)
 
     @cached_property
     def alone(self) -> tuple["Net", ...]:
@@ -98,7 +105,8 @@ class Net:
     @cached_property
     def ends(self) -> Any:
         """Mask of the edges of one triangle alone, at which the surface ends, shape (edges,)."""
-        return np.bincount(self.edges.ravel()) == 1
+        a, b = self._edges[0].T
+        return (np.bincount(self.edges.ravel()) == 1) & (a != b)
 
     @cached_property
     def free(self) -> Any:

@@ -15,6 +15,8 @@ from tigar_x.compat import FloatArray, IntArray
 
 FACE, EDGE, CORNER = 0, 1, 4
 """Kinds of nearest places: within the triangle, ``EDGE + i`` on the edge opposite corner i, ``CORNER + i`` at it."""
+FLAT = 1e-10
+"""Area, relative to the square of the longest edge, up to which a triangle has none, as at a pole of a patch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +51,15 @@ class Triangles:
         return 0.5 * np.sqrt(_dot(self.area_vectors, self.area_vectors))
 
     @cached_property
+    def flat(self) -> Any:
+        """Mask of those without area, whose places are those of their neighbours, shape (triangles,)."""
+        *_, bb, bc, cc = self._products
+        return 2.0 * self.areas <= FLAT * np.maximum(np.maximum(bb, cc), bb - 2.0 * bc + cc)
+
+    @cached_property
     def normals(self) -> FloatArray:
-        """Unit normals, shape (triangles, 3)."""
-        return self.area_vectors / (2.0 * self.areas[:, None])
+        """Unit normals, zero where there is no area, shape (triangles, 3)."""
+        return self.area_vectors / np.where(self.flat, np.inf, 2.0 * self.areas)[:, None]
 
     @cached_property
     def angles(self) -> FloatArray:
@@ -123,7 +131,7 @@ class Triangles:
         """
         line, normal = end - start, self.area_vectors[k]
         height = _dot(self.x[k, 0] - start, normal)
-        result = np.asarray(height * (height - _dot(line, normal)) <= 0.0)
+        result = np.asarray((height * (height - _dot(line, normal)) <= 0.0) & ~self.flat[k])
         parted = np.flatnonzero(result)
         a, b, c = (self.x[k[parted], corner] - start[parted] for corner in range(3))
         around = np.stack([_dot(line[parted], np.cross(*pair)) for pair in ((a, b), (b, c), (c, a))])
@@ -140,7 +148,7 @@ class NearPlaces(NamedTuple):
         kind: see above, shape (n,).
         inner: second and third barycentric coordinates there, shape (n, 2).
         gap: from there to the points, shape (n, 3); unit: length.
-        distance: its length, shape (n,).
+        distance: its length, infinite of triangles without area, shape (n,).
     """
 
     point: IntArray
@@ -154,7 +162,10 @@ class NearPlaces(NamedTuple):
     def of(cls, triangles: Triangles, x: FloatArray, point: IntArray, triangle: IntArray) -> "NearPlaces":
         """Of one triangle for each point."""
         inner, gap, kind = triangles.nearest(x[point], triangle)
-        return cls(point, triangle, kind, inner, gap, np.sqrt(np.einsum("pi,pi->p", gap, gap)))
+        distance = np.sqrt(np.einsum("pi,pi->p", gap, gap))
+        if triangles.flat.any():
+            distance[triangles.flat[triangle]] = np.inf
+        return cls(point, triangle, kind, inner, gap, distance)
 
     @classmethod
     def joined(cls, several: Sequence["NearPlaces"]) -> "NearPlaces":
