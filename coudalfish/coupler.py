@@ -105,7 +105,7 @@ class CouDALFISh(checks.Made):
         self.locator = PointLocator(self.mesh_f)
         of_points = self.shell.sheets, self.shell.quadrature.weights
         on_polygons = self.fluid.sides is not None and self.mesh_f.geometry.dim == 3
-        kind = "nodes" if on_polygons else self.options.trace  # of the surface where it is, before the flow divides it
+        kind = "nodes" if on_polygons else self.options.trace  # polygons then have the exact trace
         self._meets = meets(kind, self.fluid.velocity_space, *of_points)
         self.floors: tuple[float, float] | None = None
         self.watch = Watch(self.fluid, self.shell)

@@ -29,12 +29,16 @@ def sheet(elements, tilted=0.0):
     return Patch.from_points(flat.bases, points)
 
 
-def dome(immersed="jump and kink", options=TIGHT, *, n=3, pressure=0.3, solver=None, walls=None, dt=0.05):
+def dome(
+    immersed="jump and kink", options=TIGHT, *, n=3, elements=None, pressure=0.3, solver=None, walls=None, dt=0.05
+):
     """Elastic, and clamped along all its edges."""
     mesh = box(MPI.COMM_WORLD, (0.0,) * 3, (1.0,) * 3, (n,) * 3)
     conditions = [Slip(AROUND)] if walls is None else list(walls)
     conditions += [Traction("back"), Traction("front", (0.0, 0.0, -pressure))]
     known = {"rho": 1.0, "mu": 0.1, "dt": dt, "scheme": generalized_alpha(0.5), "immersed": immersed}
     flow = Flow(mesh, conditions, **known, options=FlowOptions(solver=solver or direct()))
-    shell = Shell(sheet(n), StVenantKirchhoff(40.0, 0.3, 0.05), density=20.0, clamped=("u0", "u1", "v0", "v1"))
+    shell = Shell(
+        sheet(elements or n), StVenantKirchhoff(40.0, 0.3, 0.05), density=20.0, clamped=("u0", "u1", "v0", "v1")
+    )
     return SimpleNamespace(flow=flow, shell=shell, fsi=CouDALFISh(flow, shell, options))

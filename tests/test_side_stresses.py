@@ -31,7 +31,7 @@ def test_a_sheet_at_rest_has_the_pressures_of_both_its_sides(bow, place):
 
 def test_a_surface_at_rest_in_space_has_the_pressures_of_both_its_sides():
     """A dome across a cube, whose weak walls and edges it crosses; beyond them nothing is known."""
-    options = CouplingOptions.converged(trace="nodes", multiplier_direction="normal", fluid_tangent="consistent")
+    options = CouplingOptions.converged(fluid_tangent="consistent")
     scene = HeldSurface(n=4, ramp=3, jump=100.0, weak=True).build(replace(IN_SPACE, options=options, immersed="jump"))
     for _ in range(4):
         scene.step()

@@ -107,10 +107,8 @@ class Step:
         self.dt = fluid.timeInt.step_size
         self.block = "coupling"
         self.acceptance = Acceptance(self.options)
-        self.passes = 0
-        self.linear_iterations = 0
-        self.spacing = 0.0
-        self.inactive = 0
+        self.passes, self.linear_iterations = 0, 0
+        self.spacing, self.inactive = 0.0, 0
 
     # -- set-up -------------------------------------------------------------------------------------------------------
 
@@ -153,9 +151,11 @@ class Step:
         v = ranks.first(self.comm, self.shell.velocity())
         scales = {"scale_m": self.options.scale_m, "scale_c": self.options.scale_c}
         load = exchange.tractions(self.lam, self.n)
-        meeting = self.fluid.place(self.meets(x, self.locator), self.shell.sheets, x, v, load, **scales)
-        self.meeting = meeting
-        self.inactive, self.W, self.trace = int((~meeting.active).sum()), meeting.W, meeting.trace
+        where_it_is = self.meets(x, self.locator)
+        meeting = self.fluid.place(where_it_is, self.shell.sheets, x, v, load, **scales)
+        self.meeting, self.W, self.trace = meeting, meeting.W, meeting.trace
+        seen = meeting.active | where_it_is.active if meeting.active.any() else meeting.active
+        self.inactive = int((~seen).sum())
         self.multiplier = self.method.begin(self)
         self.spacing = self.watch.spacing(x)
         self.watch.placed(self, x)

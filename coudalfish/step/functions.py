@@ -128,6 +128,7 @@ class Functions:
     def _across(self, n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Two directions across the mean normal of each function, shape (functions, 3) each."""
         mean = self.areas_t @ n
+        mean[~mean.any(axis=1), 2] = 1.0  # normals of a closed surface that is one function cancel
         mean /= np.linalg.norm(mean, axis=1)[:, None]
         axis = np.eye(3)[np.abs(mean).argmin(axis=1)]
         first = np.cross(mean, axis)

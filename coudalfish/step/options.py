@@ -53,7 +53,8 @@ class CouplingOptions:
         relaxation_mode: "smoothed" damps by r only what the multiplier differs by from its means over the vertices of
             the fluid's mesh, which does not leak: r may be 0.1 to 1; "uniform" damps all of it and leaks.
         trace: what the shell's points see of the fluid's velocity: that at the "nodes" where they are, or the "exact"
-            average over their hat functions on a curve in the plane, which also gives them their areas.
+            average over their hat functions on a curve in the plane, which also gives them their areas. A surface in
+            space that divides cells has that average whatever is chosen here.
         scale_m: factor of tau_M in the band around the surface of plain fields, in (0, 1].
         scale_c: divisor of tau_C there, in (0, 1].
         fluid_tangent: penalty tangent of the fluid, "lumped" (its row sums) or "consistent".
