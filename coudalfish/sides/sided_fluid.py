@@ -9,6 +9,8 @@ import ufl
 from dolfinx import fem
 
 from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.surface.cut_cells import CutCells
+from coudalfish.surface.enriched import Enrichment
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix
@@ -71,36 +73,12 @@ class FluidSides(Protocol):
         """
 
 
-class Divided(Protocol):
-    """What a surface does to a mesh, see :class:`coudalfish.surface.enriched.Enrichment`."""
-
-    @property
-    def cut(self) -> Any:
-        """Cells of which a node has more unknowns."""
-
-    @property
-    def jump(self) -> Any:
-        """Mask of the nodes at which the pressure jumps, shape (nodes,)."""
-
-    @property
-    def kink(self) -> Any:
-        """Mask of the nodes at which the velocity is kinked, shape (nodes,)."""
-
-    @property
-    def velocity(self) -> FloatArray | None:
-        """That of the surface at nodes near it, shape (nodes, d); unit: length/time; None: it rests."""
-
-    @property
-    def known(self) -> FloatArray:
-        """The signed distance at the nodes, zero where it is not known, shape (nodes,)."""
-
-
 class Dividing(Protocol):
     """What finds out how a surface divides a mesh."""
 
     def __call__(
         self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
-    ) -> tuple[Divided, Meeting]:
+    ) -> tuple[Enrichment, Meeting]:
         """What is divided, and how the surface meets that (collective).
 
         Args:
@@ -112,25 +90,35 @@ class Dividing(Protocol):
         """
 
     @property
-    def nothing(self) -> Divided:
+    def nothing(self) -> Enrichment:
         """What there is without a surface."""
 
-    def weights(self, cut: Any) -> FloatArray:
+    def weights(self, cut: CutCells) -> FloatArray:
         """Weights of the negative side at nodes of the cells that are cut, shape (cut, nodes)."""
 
-    def on_walls(self, cut: Any) -> tuple[IntArray, FloatArray]:
+    def on_walls(self, cut: CutCells) -> tuple[IntArray, FloatArray]:
         """Those of them that have a facet on the boundary, and weights there, shape (found, nodes)."""
 
 
-def dividing(*arguments: Any, dim: int, **named: Any) -> Dividing:
-    """By the dimension of the flow: a plane one needs nothing of what one in space does."""
-    if dim == 2:
+def dividing(
+    space: fem.FunctionSpace, weights: fem.FunctionSpace, walls: fem.FunctionSpace, size: float, *, kinked: bool
+) -> Dividing:
+    """By the dimension of the flow: a plane one needs nothing of what one in space does.
+
+    Args:
+        space: see :class:`coudalfish.surface.divided_mesh.DividedMesh`, as for the others.
+        weights: see there.
+        walls: see there.
+        size: see there.
+        kinked: see there.
+    """
+    if space.mesh.geometry.dim == 2:
         from coudalfish.surface.in_plane import DividedPlane
 
-        return DividedPlane(*arguments, **named)
+        return DividedPlane(space, weights, walls, size, kinked=kinked)
     from coudalfish.surface.in_space import DividedSpace
 
-    return DividedSpace(*arguments, **named)
+    return DividedSpace(space, weights, walls, size, kinked=kinked)
 
 
 class SidedFluid(FluidSubproblem):
@@ -150,7 +138,7 @@ class SidedFluid(FluidSubproblem):
         self.trace_dofs = np.vstack([self.velocity_dofs, self.velocity_dofs + len(self.timeInt.x.x.array)])
         self.free = np.vstack([self.free, np.zeros_like(self.free)])
         spaces = self.velocity_space, sides.negative.function_space, sides.wall.function_space
-        self._dividing = dividing(*spaces, self.mesh_size, kinked=sides.is_kinked, dim=self.mesh.geometry.dim)
+        self._dividing = dividing(*spaces, self.mesh_size, kinked=sides.is_kinked)
         self._cells, self._wall_cells = (compat.cell_dofs(space) for space in spaces[1:])
         self._linear, self._blocks = np.empty((2, len(self._node)), dtype=np.int64)
         for f, numbers in ((sides.phi, self._linear), *((f, self._blocks) for f in sides.carried[:1])):
@@ -182,7 +170,7 @@ class SidedFluid(FluidSubproblem):
         self._divide(found)
         return meets
 
-    def _divide(self, found: Divided) -> None:
+    def _divide(self, found: Enrichment) -> None:
         """Take over what the surface divides (collective)."""
         self._found, sides = found, self.sides
         phi = found.known

@@ -155,8 +155,8 @@ class Preconditioner:
             np.concatenate(part)
             for part in zip(*fluid.comm.allgather((T.row, names[T.col], T.data, *beside)), strict=True)
         ]
-        nodes, column = np.unique(parts[1], return_inverse=True)
-        whole = sp.csr_matrix((parts[2], (parts[0], column.ravel())), shape=(T.shape[0], len(nodes)))
+        nodes = np.unique(np.concatenate([parts[1], *parts[3:4]]))
+        whole = sp.csr_matrix((parts[2], (parts[0], np.searchsorted(nodes, parts[1]))), shape=(T.shape[0], len(nodes)))
         if X is not None:
             row = d * np.searchsorted(nodes, parts[3]) + parts[4]
             X = sp.csr_matrix((parts[6], (row, parts[5])), shape=(d * len(nodes), X.shape[1]))

@@ -20,7 +20,7 @@ from coudalfish.surface.covering import AROUND, AT_END, Covering, by_curves, by_
 from coudalfish.surface.cut_cells import CutCells
 from coudalfish.surface.interface import Interface, Nearest, Sought
 from coudalfish.surface.meeting import Meeting
-from coudalfish.surface.polygons import ZeroSet
+from coudalfish.surface.polygons import ZeroSet, longest_edges
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 
@@ -140,8 +140,7 @@ class Enriching:
 
     def _set_sizes(self, space: fem.FunctionSpace) -> None:
         """Longest edges of cells, of the cells of nodes, and of those of the nodes around (collective)."""
-        ends = self.corners[:, self._edges]
-        self.sizes = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1)
+        self.sizes = longest_edges(self.corners)
         self._largest = self._comm.allreduce(float(self.sizes.max(initial=0.0)), op=MPI.MAX)
         self._of_nodes = self._largest_around(space, self.sizes)
         self._of_neighbours = self._largest_around(space, self._of_nodes[self.vertices].max(axis=1))
