@@ -551,10 +551,7 @@ class Hole:
         elements = (round(self.per_cell * (outer - R) / h), max(8, round(self.per_cell * math.pi * (outer + R) / h)))
         plate = surfaces.annulus(inner=R, outer=outer, center=center, elements=elements, degrees=(2, 2))
         flow.start(pressure=lambda X, t: ufl.conditional(ufl.gt(X[2], center[2]), 1.0, 0.0))
-        return Coupled(flow, rigid(glued(plate, within=True)), setting, multiplier=self.sign)
-
-    sign = -1.0
-    """Of the multiplier that the jump asks for: the plate's normals point up."""
+        return Coupled(flow, rigid(glued(plate, within=True)), setting, multiplier=-1.0)  # its normals point up
 
     def run(self, setting: Setting = IN_SPACE) -> Found:
         """Let it flow until it is steady.

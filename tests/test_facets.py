@@ -58,7 +58,7 @@ def test_every_facet_has_the_integrals_of_its_part(d, plane):
     space = compat.lagrange_space(domain, K + 1, discontinuous=True)
     vertices, phi = level(domain, *plane)
     cut = CutCells.of(vertices, phi)
-    cells, weights = FacetWeights(space)(cut)
+    cells, weights = FacetWeights(space, K)(cut)
     x, w = rule(d - 1, 2 * K + 1)
     several = set()
     for cell, nodal in zip(cells, weights, strict=True):
@@ -81,7 +81,7 @@ def test_where_three_facets_meet_one_integral_is_an_approximation():
     vertices, phi = level(domain, 1.0, 0.37, 0.61, 0.29)
     x, w = rule(2, 2 * K + 1)
     off = []
-    for cell, nodal in zip(*FacetWeights(space)(CutCells.of(vertices, phi)), strict=True):
+    for cell, nodal in zip(*FacetWeights(space, K)(CutCells.of(vertices, phi)), strict=True):
         for side in np.flatnonzero(walls_of(domain)[cell] >> np.arange(4) & 1):
             here = compat.tabulate(space, on_facet(side, x)[:, 1:]) @ nodal
             off.append((w * here) @ monomials(x) - of_negative_part(np.delete(phi[vertices[cell]], side)))
@@ -131,7 +131,7 @@ def test_on_one_facet_weights_are_the_same_in_spaces_of_both_degrees(d):
     vertices, phi = level(domain, *(1.0, 0.2, 0.3)[:d], 0.3302)
     cut, checked = CutCells.of(vertices, phi), 0
     x = rule(d - 1, 4)[0]
-    (cells, of_low), (_, of_high) = FacetWeights(low, K)(cut), FacetWeights(high)(cut)
+    (cells, of_low), (_, of_high) = FacetWeights(low, K)(cut), FacetWeights(high, K)(cut)
     for cell, a, b in zip(cells, of_low, of_high, strict=True):
         sides = np.flatnonzero(walls_of(domain)[cell] >> np.arange(d + 1) & 1)
         if len(sides) == 1:

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from test_sheets import TURNS, quarter
 
-from coudalfish.step.functions import nearest_coefficients
+from coudalfish.step.functions import Functions, nearest_coefficients
 from coudalfish.surface.grids import Grids
 from coudalfish.surface.hats import SMALL, hat_functions
 from coudalfish.surface.sheets import Sheets
@@ -265,6 +265,17 @@ def test_coefficients_of_functions_that_depend_on_each_other_are_found():
     np.testing.assert_allclose(N @ (fit @ lam), N @ expected, atol=1e-12)
     np.testing.assert_allclose(fit @ lam, expected, atol=1e-6)
     np.testing.assert_array_equal(fit @ lam[:, 0], (fit @ lam)[:, 0])
+
+
+def test_vectors_of_functions_whose_normals_cancel_are_numbers():
+    """As those of a closed surface that one function covers."""
+    patch = shapes.parallelogram((0, 0, 0), (1, 0, 0), (0, 1, 0), elements=(2, 2), degrees=(1, 1))
+    spline = ExtractedSpline(patch, MPI.COMM_SELF)
+    sheets = Sheets.of(spline)
+    functions = Functions(spline, sheets, spline.node_areas, 0.5, vector=True)
+    n = np.zeros_like(sheets.X)
+    values = functions.values(np.ones(functions.count), n, own_normals=True)
+    np.testing.assert_allclose(np.linalg.norm(values, axis=1), np.sqrt(2.0))
 
 
 def test_many_functions_at_many_points_are_cheap():

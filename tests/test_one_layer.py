@@ -64,7 +64,7 @@ def test_pressures_of_one_side_are_in_equilibrium_on_polygons_and_walls(name, de
     points = ZeroSet.of(cut, corners[cut.cells]).quadrature()
     forces = points.barycentric[:, :, None] * (points.areas[:, None] * points.normals)[:, None]
     np.add.at(by_forces, vertices[points.cells], forces)
-    found, nodal = FacetWeights(space)(cut)
+    found, nodal = FacetWeights(space, 2)(cut)
     of_cells = np.broadcast_to(inside[:, None], (len(vertices), nodal.shape[1])).copy()
     of_cells[found] = nodal
     at, w = rule(2, 4)

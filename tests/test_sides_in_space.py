@@ -56,7 +56,7 @@ def divide(flow):
     weights_there = SideWeights(compat.lagrange_degree(weights), compat.node_points(weights))(cut)
     sides.negative.x.array[compat.cell_dofs(weights)[cut.cells]] = weights_there
     walls = sides.wall.function_space
-    on_walls, weights_there = FacetWeights(walls)(cut)
+    on_walls, weights_there = FacetWeights(walls, compat.lagrange_degree(weights))(cut)
     sides.wall.x.array[compat.cell_dofs(walls)[on_walls]] = weights_there
     number = np.empty(len(phi), dtype=np.int64)
     number[vertices] = compat.cell_dofs(flow.V)

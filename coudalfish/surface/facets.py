@@ -27,14 +27,13 @@ class FacetWeights:
 
     Args:
         space: discontinuous Lagrange space in which the weights are wanted.
-        degree: k; None: that of the space less one.
+        degree: k, that of the space or one less.
     """
 
-    def __init__(self, space: fem.FunctionSpace, degree: int | None = None) -> None:
+    def __init__(self, space: fem.FunctionSpace, degree: int) -> None:
         self._space, self._d = space, space.mesh.topology.dim
         self._degree = compat.lagrange_degree(space)
-        self._k = self._degree - 1 if degree is None else degree
-        self._moments = SideMoments(self._d - 1, self._k)
+        self._moments = SideMoments(self._d - 1, degree)
         self._walls = walls_of(space.mesh)
         sides = np.arange(self._d + 1)
         self._vertices = np.array([np.delete(sides, side) for side in sides])
