@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from coudalfish.surface.boundary import attached
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import Net
 from coudalfish.surface.sheets import Sheets
@@ -24,13 +25,16 @@ def grid(n=4, f=lambda u, v: np.column_stack([u, v, 0.0 * u]), triangles=False, 
     return f(u, v), cells[:, ::-1] if turned else cells
 
 
-def surfaces(*patches, attached=None):
+def surfaces(*patches, held=None):
     """Patches whose points are one place where they are at the same place."""
     x = np.concatenate([part for part, _ in patches])
     starts = np.cumsum([0] + [len(part) for part, _ in patches[:-1]])
     cells = np.concatenate([part + start for (_, part), start in zip(patches, starts, strict=True)])
     place = np.unique(np.round(x, 9), axis=0, return_inverse=True)[1].ravel()
-    return Surfaces(x, Net(cells, place, None if attached is None else attached(x)))
+    net = Net(cells, place)
+    if held is None:
+        return Surfaces(x, net)
+    return Surfaces(x, Net(cells, place, net.edge_places[np.isin(net.edge_places, place[held(x)]).all(axis=1)]))
 
 
 def cube(n=3, triangles=False):
@@ -128,7 +132,7 @@ def test_behind_its_edges_a_plate_goes_straight_on():
 
 
 def test_where_it_is_attached_a_surface_covers_what_is_behind():
-    plate = surfaces(grid(4), attached=lambda x: x[:, 0] < 1e-9)
+    plate = surfaces(grid(4), held=lambda x: x[:, 0] < 1e-9)
     x = np.array([[-0.3, 0.5, 0.1], [1.3, 0.5, 0.1], [0.5, 1.3, 0.1]])
     near = nearest(plate, x, 1.0)
     np.testing.assert_array_equal(near.covered(), [True, False, False])
@@ -160,11 +164,23 @@ def test_at_the_poles_of_a_sphere_nothing_ends(within):
     np.testing.assert_array_equal(sphere.crossed(start, end, 0.1), [True, False])
 
 
-def test_points_near_a_wall_or_beyond_it_are_attached_to_it():
+def test_edges_near_a_wall_or_beyond_it_are_attached_to_it():
     plate = surfaces(grid(4, lambda u, v: np.column_stack([1.25 * u - 0.25, v, 0.5 + 0.0 * u])))
-    held = plate.attached_to(cube(2), 1e-6)
-    expected = (plate.x[:, 0] < 1e-9) | (plate.x[:, 0] > 1.0 - 1e-9) | (np.abs(plate.x[:, 1] - 0.5) > 0.5 - 1e-9)
-    np.testing.assert_array_equal(held, expected)
+    assert len(attached(plate, cube(2), 1e-6)) == plate.net.ends.sum() == 16
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_free_edge_from_wall_to_wall_is_not_attached_to_them(n):
+    """However few elements it has."""
+    points, cells = grid(n, lambda u, v: np.column_stack([0.6 * u, v, 0.5 + 0.0 * u]))
+    plate = surfaces((points, cells))
+    held = attached(plate, cube(2), 1e-6)
+    assert len(held) == 3 * n
+    net = Net(cells, plate.net.place, held)
+    triangle, corner = net.ending(net.free)
+    ends = np.array([np.delete(net.triangles[t], c) for t, c in zip(triangle, corner, strict=True)])
+    assert len(ends) == n
+    np.testing.assert_allclose(points[ends, 0], 0.6)
 
 
 def test_hat_functions_at_nearest_places():

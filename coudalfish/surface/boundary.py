@@ -8,10 +8,12 @@ import numpy as np
 from dolfinx import mesh
 
 from coudalfish.surface.facets import walls_of
-from coudalfish.surface.net import Net
+from coudalfish.surface.interface import Sought
+from coudalfish.surface.net import OPPOSITE, Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat, ranks
+from tigar_x.compat import IntArray
 
 
 def boundary(domain: mesh.Mesh) -> Surfaces:
@@ -43,6 +45,28 @@ def net_in(domain: mesh.Mesh, sheets: Sheets, reach: float) -> Net:
         sheets: how the cells of the shell hang together.
         reach: distance from the boundary that counts as none; unit: length.
     """
-    walls = boundary(domain)
-    free = Net.of(sheets)
-    return Net.of(sheets, ranks.agreed(domain.comm, lambda: Surfaces(sheets.X, free).attached_to(walls, reach)))
+    walls, free = boundary(domain), Surfaces(sheets.X, Net.of(sheets))
+    return Net.of(sheets, ranks.agreed(domain.comm, lambda: attached(free, walls, reach)))
+
+
+def attached(surface: Surfaces, walls: Surfaces, reach: float) -> IntArray:
+    """Edges at which a surface ends on the boundary of a fluid or beyond it.
+
+    An edge that leads from one wall to another through the fluid is not attached.
+
+    Args:
+        surface: the surface.
+        walls: the boundary, whose normals point out of the fluid, or a part of it.
+        reach: distance from it that counts as none; unit: length.
+
+    Returns:
+        Places at their ends, see :class:`coudalfish.surface.net.Net`, shape (attached, 2).
+    """
+    net = surface.net
+    triangle, corner = net.ending(net.ends)
+    a, b = (surface.triangles.x[triangle, end] for end in np.array(OPPOSITE)[corner].T)
+    x = np.concatenate([a, b, 0.5 * (a + b)])
+    size = float(np.linalg.norm(np.ptp(np.concatenate([surface.x, walls.x]), axis=0)))
+    near = walls.nearest(x, Sought(np.arange(len(x)), size))
+    there = (near.signed_distance() <= reach).reshape(3, -1).all(axis=0)  # negative beyond
+    return np.asarray(net.edge_places[net.edges[triangle, corner][there]])

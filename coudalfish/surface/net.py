@@ -28,18 +28,19 @@ class Net:
     Attributes:
         cells: points around triangles or quadrilaterals, whose normals agree within a sheet, shape (cells, corners).
         place: number of the place of a point, the same for points that a joint unites, shape (points,).
-        attached: mask of the points at which the surface is attached to a wall, shape (points,); None: at none.
+        attached: places at the ends of edges at which the surface is attached to a wall, shape (edges, 2); None: at
+            none.
     """
 
     cells: IntArray
     place: IntArray
-    attached: Any = None
+    attached: IntArray | None = None
 
     def __post_init__(self) -> None:
         checks.freeze(self)
 
     @classmethod
-    def of(cls, sheets: Sheets, attached: Any = None) -> "Net":
+    def of(cls, sheets: Sheets, attached: IntArray | None = None) -> "Net":
         """The points of a shell, of which those at a pole, a side of a patch without length, are in one place.
 
         Args:
@@ -92,10 +93,15 @@ class Net:
 
     @cached_property
     def _edges(self) -> tuple[IntArray, IntArray]:
-        """Places at the ends of the edges, and which of them a triangle has opposite its corners, (triangles, 3)."""
+        """See :attr:`edge_places` and :attr:`edges`."""
         pairs = np.sort(self.corners[:, OPPOSITE], axis=-1).reshape(-1, 2)
         ends, edge = np.unique(pairs, axis=0, return_inverse=True)
         return ends, edge.reshape(-1, 3)
+
+    @property
+    def edge_places(self) -> IntArray:
+        """Places at the ends of the edges, ascending, shape (edges, 2)."""
+        return self._edges[0]
 
     @property
     def edges(self) -> IntArray:
@@ -105,7 +111,7 @@ class Net:
     @cached_property
     def ends(self) -> Any:
         """Mask of the edges of one triangle alone, at which the surface ends, shape (edges,)."""
-        a, b = self._edges[0].T
+        a, b = self.edge_places.T
         return (np.bincount(self.edges.ravel()) == 1) & (a != b)
 
     @cached_property
@@ -113,14 +119,14 @@ class Net:
         """Mask of those that are not attached to a wall, shape (edges,)."""
         if self.attached is None:
             return self.ends
-        held = np.zeros(int(self.corners.max(initial=-1)) + 1, dtype=bool)
-        held[self.place[self.attached]] = True
-        return self.ends & ~held[self._edges[0]].all(axis=1)
+        size = int(self.corners.max(initial=-1)) + 1
+        numbers, attached = (np.sort(pairs, axis=1) @ [size, 1] for pairs in (self.edge_places, self.attached))
+        return self.ends & ~np.isin(numbers, attached)
 
     def at_corners(self, edges: Any) -> Any:
         """Mask of the places at ends of some edges, by a mask of these, shape (places,)."""
         there = np.zeros(int(self.corners.max(initial=-1)) + 1, dtype=bool)
-        there[self._edges[0][edges]] = True
+        there[self.edge_places[edges]] = True
         return there
 
     def ending(self, edges: Any) -> tuple[IntArray, IntArray]:

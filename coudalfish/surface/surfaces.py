@@ -206,17 +206,6 @@ class Surfaces:
         a, b, _ = self._at_ends(self.net.free)
         return a, b, cKDTree(0.5 * (a + b))
 
-    def attached_to(self, walls: "Surfaces", reach: float) -> Any:
-        """Mask of the points on the boundary of a fluid or beyond it, shape (points,).
-
-        Args:
-            walls: the boundary, whose normals point out of the fluid, or a part of it.
-            reach: distance from it that counts as none; unit: length.
-        """
-        size = float(np.linalg.norm(np.ptp(np.concatenate([self.x, walls.x]), axis=0)))
-        near = walls.nearest(self.x, Sought(np.arange(len(self.x)), size))
-        return near.signed_distance() <= reach  # negative beyond
-
 
 @dataclass(frozen=True, eq=False)
 class NearestOnSurfaces:
