@@ -243,6 +243,17 @@ class CouDALFISh(checks.Made):
         return Step(*parts, self._meets, self.locator, self.watch, cautious=cautious)
 
     def _attempt(self, restore: Callable[[], None]) -> Outcome:
+        """Run the step, and once more if the multiplier that it leaves would have the surface placed otherwise."""
+        outcome = self._first_that_works(restore)
+        if outcome.suits:
+            return outcome
+        restore()
+        self.lam, first = outcome.lam, outcome.report
+        second = self._first_that_works(restore)
+        passes, iterations = (getattr(first, name) + getattr(second.report, name) for name in ("passes", "linear_iterations"))
+        return replace(second, report=replace(second.report, passes=passes, linear_iterations=iterations))
+
+    def _first_that_works(self, restore: Callable[[], None]) -> Outcome:
         """Run the step in the way that the options ask for, and where that fails in the next one."""
         ways = self.attempts
         for k, attempt in enumerate(ways):

@@ -168,6 +168,14 @@ class FluidSubproblem:
             self.band.update(meeting.location, scale_m=scale_m, scale_c=scale_c)
         return meeting
 
+    def suits(self, load: FloatArray) -> bool:
+        """Whether a step that ends with a multiplier should have placed the surface as this one did (collective).
+
+        Args:
+            load: the multiplier at the end, shape (points, d); unit: force/area.
+        """
+        return True
+
     def remember(self) -> Callable[[], None]:
         """Remember what :meth:`place` changes; the result brings it back."""
         scales = () if self.band is None else (self.band.scale_m, self.band.scale_c)

@@ -93,6 +93,9 @@ class Dividing(Protocol):
     def nothing(self) -> Enrichment:
         """What there is without a surface."""
 
+    def suits(self, load: FloatArray) -> bool:
+        """Whether what was divided last would be so under a load, too (collective); shape (points, d)."""
+
     def weights(self, cut: CutCells) -> FloatArray:
         """Weights of the negative side at nodes of the cells that are cut, shape (cut, nodes)."""
 
@@ -198,6 +201,10 @@ class SidedFluid(FluidSubproblem):
         self.system.divide(divided, second, side)
         if self.system.layout != layout:
             self._measure()
+
+    def suits(self, load: FloatArray) -> bool:
+        """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
+        return self._dividing.suits(load)
 
     def remember(self) -> Callable[[], None]:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""

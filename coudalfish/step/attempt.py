@@ -56,11 +56,13 @@ class Outcome:
         report: what it did.
         lam: multiplier of the next step, shape (points,); unit: force/area.
         floors: as those of :class:`Start`.
+        suits: whether a step that starts from this multiplier would place the surface in the same way.
     """
 
     report: StepReport
     lam: FloatArray
     floors: tuple[float, float] | None
+    suits: bool = True
 
 
 class Step:
@@ -313,7 +315,7 @@ class Step:
         monitors = monitors_of(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))
         self.watch.finished(self, report)
-        return Outcome(report, lam, self.floors)
+        return Outcome(report, lam, self.floors, self.fluid.suits(exchange.tractions(lam, n)))
 
     def _contact(self) -> ContactReport | None:
         if self.shell.contact is None:

@@ -110,6 +110,8 @@ class ConvergedMultiplier:
         self._own = self._at.X is not None
         self._c = self._functions.fitted(step.lam, step.n, own_normals=self._own)
         ranks.share(step.comm, self._c)
+        if self._own:  # what acted on nothing is no load by which the next step could place the surface
+            self._c[self._at.H.multiply(self._at.H).T @ np.repeat(step.W, step.n.shape[1]) == 0.0] = 0.0
         self._reference = 0.0
         self._renew(step)
 

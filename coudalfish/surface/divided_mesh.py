@@ -39,6 +39,10 @@ class DividedMesh:
         """See there."""
         return self._enriching.nothing
 
+    def suits(self, load: FloatArray) -> bool:
+        """See there."""
+        return True
+
     def weights(self, cut: CutCells) -> FloatArray:
         """See there."""
         return self._weights(cut)

@@ -3,7 +3,8 @@
 A node has two pressures, that on its own side and that behind the surface. Where sheets lie one above the other, with
 normals that agree, there are three: below, in the film, and above. The film has the pressure of the side towards which
 the sheets are pushed, so that the sheet on the other side carries the whole jump, and is pressed on the first one as
-contact has it. Where normals of sheets disagree, as those of leaflets that close a valve, both sides have the same
+contact has it. Which one that is holds for the whole film of two sheets; a step whose multiplier says the opposite of
+the one from which it started is taken again, as the first one under a sudden load. Where normals of sheets disagree, as those of leaflets that close a valve, both sides have the same
 pressure, and the film has one of its own.
 """
 
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
 
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.surfaces import NearestOnSurfaces, Surfaces
@@ -22,6 +25,8 @@ AGREE = 0.5
 """Product of unit normals from which on they agree."""
 WISH = 1e-6
 """What a node in a film counts for the signs of normals, relative to an edge that leads past the film."""
+PUSHED = 0.1
+"""Part of the push that all loads of two sheets together would have on them, below which it does not matter where."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,7 @@ class Film:
         distance: from the other sheet, with the sign of its own normals; unit: length.
         agree: product of the unit normals of both sheets.
         away: from the nearest place to that on the other sheet, shape (nodes, 3); unit: length.
-        pushed: force per area on both together, same shape.
+        both: from values at the points of the sheets to sums of those at both places, shape (nodes, points).
     """
 
     other: int
@@ -42,13 +47,14 @@ class Film:
     distance: FloatArray
     agree: FloatArray
     away: FloatArray
-    pushed: FloatArray
+    both: sp.csr_matrix
 
 
 class Films:
     """Films near the nodes of a mesh.
 
     Args:
+        comm: of the mesh.
         surfaces: the sheets.
         load: force per area by which the fluid pushes the points of the sheets, shape (points, 3).
         x: nodes, shape (m, 3); unit: length.
@@ -57,11 +63,18 @@ class Films:
     """
 
     def __init__(
-        self, surfaces: Surfaces, load: FloatArray, x: FloatArray, near: NearestOnSurfaces, sizes: FloatArray
+        self,
+        comm: MPI.Comm,
+        surfaces: Surfaces,
+        load: FloatArray,
+        x: FloatArray,
+        near: NearestOnSurfaces,
+        sizes: FloatArray,
     ) -> None:
+        self._comm, self._load, self._number = comm, load, surfaces.sheets
         self._sheet, self._phi = near.sheet(), near.signed_distance()
-        gap, pushed, covered, first = _gaps(near), near.values(load), near.covered(), self._phi
-        self._films = []
+        gap, covered, first = _gaps(near), near.covered(), self._phi
+        self._films: list[Film] = []
         for k in range(surfaces.sheets):
             here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k) & covered)
             if not len(here):
@@ -73,8 +86,8 @@ class Films:
             close = np.linalg.norm(away, axis=1) <= FILM * sizes[here]
             here, away = here[close], away[close]
             normals = [np.sign(d[here])[:, None] * _unit(g[here]) for d, g in ((first, gap), (distance, gaps))]
-            agree, load_here = np.einsum("ni,ni->n", *normals), pushed[here] + other.values(load)[here]
-            self._films.append(Film(k, here, distance[here], agree, away, load_here))
+            both = sp.csr_matrix(sum(one.functions(continued=True)[here] for one in (near, other)))
+            self._films.append(Film(k, here, distance[here], np.einsum("ni,ni->n", *normals), away, both))
 
     def past(self, edges: IntArray, nearest: IntArray) -> Any:
         """Mask of edges that neither begin nor end at a film between the sheets that are nearest to their ends.
@@ -106,19 +119,50 @@ class Films:
         return result
 
     def signed_distance(self, turned: FloatArray) -> FloatArray:
-        """From the nearest sheet or, near a film, from that which carries the jump, shape (m,); unit: length.
+        """From the nearest sheet or, near a film, from that which carries the jump, shape (m,) (collective).
 
         Args:
             turned: signs of the sheets' normals.
+
+        Returns:
+            Unit: length.
         """
+        self._turned = turned
         result = np.where(self._sheet < 0, 1.0, turned[self._sheet]) * self._phi
+        pushed, _ = self._pushed(self._load)
+        self._carries = (pushed < 0.0) | ((pushed == 0.0) & np.tri(self._number, dtype=bool))
         for film in self._films:
-            here = self._sheet[film.nodes]
-            above = turned[here] * turned[film.other] * film.agree > AGREE
-            towards = np.einsum("ni,ni->n", film.pushed, film.away)
-            carries = above & ((towards < 0.0) | ((towards == 0.0) & (film.other < here)))
+            carries = self._above(film) & self._carries[self._sheet[film.nodes], film.other]
             result[film.nodes[carries]] = turned[film.other] * film.distance[carries]
         return result
+
+    def suit(self, load: FloatArray) -> bool:
+        """Whether those sheets carry the jump that should under a load, if that matters (collective).
+
+        Args:
+            load: force per area, see above.
+        """
+        pushed, together = self._pushed(load)
+        return not (((pushed < 0.0) != self._carries) & (np.abs(pushed) > PUSHED * together)).any()
+
+    def _above(self, film: Film) -> Any:
+        """Mask of its nodes where the sheets lie one above the other with normals that agree."""
+        return self._turned[self._sheet[film.nodes]] * self._turned[film.other] * film.agree > AGREE
+
+    def _pushed(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Work of a load on two sheets that would move from the first one to the other (collective).
+
+        Returns:
+            Sums over the nodes of their films and sums of the sizes, shape (sheets, sheets) each.
+        """
+        sums = np.zeros((2, self._number, self._number))
+        for film in self._films:
+            above = self._above(film)
+            here, work = self._sheet[film.nodes[above]], np.einsum("ni,ni->n", (film.both @ load), film.away)[above]
+            for total, values in zip(sums, (work, np.abs(work)), strict=True):
+                total[:, film.other] += np.bincount(here, values, self._number)
+        self._comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+        return sums[0] - sums[0].T, sums[1] + sums[1].T
 
 
 def _gaps(near: NearestOnSurfaces) -> FloatArray:

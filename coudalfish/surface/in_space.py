@@ -1,6 +1,7 @@
 """How surfaces divide a flow in space, and where they see it: on the polygons on which the signed distance is zero."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ class DividedSpace(DividedMesh):
     """A mesh of tetrahedra that surfaces divide, see :class:`coudalfish.sides.sided_fluid.Dividing`."""
 
     _net: tuple[Sheets, Net, FloatArray] | None = None
+    _films: Films | None = None
 
     def __call__(
         self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
@@ -40,7 +42,9 @@ class DividedSpace(DividedMesh):
             self._net = sheets, net, Surfaces(sheets.X, net).triangles.areas
         _, net, at_rest = self._net
         surfaces = Surfaces(x, net)
-        found = self._enriching(surfaces, meeting, v if self._kinked else None, partial(Films, surfaces, load))
+        self._films = None
+        films = partial(self._films_of, surfaces, load)
+        found = self._enriching(surfaces, meeting, v if self._kinked else None, films)
         owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
         points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
         areas, flat = surfaces.triangles.areas, surfaces.triangles.flat
@@ -51,3 +55,12 @@ class DividedSpace(DividedMesh):
         if not self._kinked:
             return found, on
         return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)
+
+    def _films_of(self, surfaces: Surfaces, load: FloatArray, *nodes: Any) -> Films:
+        """See :class:`coudalfish.surface.films.Films`."""
+        self._films = Films(self._space.mesh.comm, surfaces, load, *nodes)
+        return self._films
+
+    def suits(self, load: FloatArray) -> bool:
+        """See there (collective)."""
+        return self._films is None or self._films.suit(load)
