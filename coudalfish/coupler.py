@@ -250,8 +250,8 @@ class CouDALFISh(checks.Made):
         restore()
         self.lam, first = outcome.lam, outcome.report
         second = self._first_that_works(restore)
-        passes, iterations = (getattr(first, name) + getattr(second.report, name) for name in ("passes", "linear_iterations"))
-        return replace(second, report=replace(second.report, passes=passes, linear_iterations=iterations))
+        both = {name: getattr(first, name) + getattr(second.report, name) for name in ("passes", "linear_iterations")}
+        return replace(second, report=replace(second.report, **both))
 
     def _first_that_works(self, restore: Callable[[], None]) -> Outcome:
         """Run the step in the way that the options ask for, and where that fails in the next one."""

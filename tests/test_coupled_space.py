@@ -115,6 +115,16 @@ def test_of_two_tilted_sheets_with_a_film_between_one_carries_the_jump(apart):
     assert found.figures["force"] == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.mpi
+def test_two_sheets_that_a_sudden_pressure_presses_together_do_not_bounce():
+    """Nothing tells before the first step which of them carries it: by the wrong one they are a tenth apart at once."""
+    pair = Pair(0.5, n=4, touching=True, steps=3)
+    found = pair.run(setting_of("jump", IN_SPACE))
+    assert found.figures["distance"] == pytest.approx(0.0, abs=0.01)
+    assert found.figures["contact"] == pytest.approx(0.0, abs=0.15)
+    assert found.figures["force"] == pytest.approx(0.0, abs=0.06)
+
+
 def test_the_pressure_in_a_sphere_is_that_of_its_tension():
     """Polygons on its inner side, where the signed distance of the nodes is zero, would make it 8 % higher."""
     found = Sphere(8, steps=4).run(setting_of("jump", IN_SPACE))

@@ -4,8 +4,8 @@ A node has two pressures, that on its own side and that behind the surface. Wher
 normals that agree, there are three: below, in the film, and above. The film has the pressure of the side towards which
 the sheets are pushed, so that the sheet on the other side carries the whole jump, and is pressed on the first one as
 contact has it. Which one that is holds for the whole film of two sheets; a step whose multiplier says the opposite of
-the one from which it started is taken again, as the first one under a sudden load. Where normals of sheets disagree, as those of leaflets that close a valve, both sides have the same
-pressure, and the film has one of its own.
+the one from which it started is taken again, as the first one under a sudden load. Where normals of sheets disagree, as
+those of leaflets that close a valve, both sides have the same pressure, and the film has one of its own.
 """
 
 from dataclasses import dataclass
