@@ -1,5 +1,7 @@
 """Nodes of tetrahedra that surfaces enrich: closed surfaces, plates with edges, gaps, several sheets."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -8,6 +10,7 @@ from test_nearest_surfaces import cube, grid, surfaces
 
 from coudalfish.surface import enriched
 from coudalfish.surface.enriched import Enriching
+from coudalfish.surface.films import Films
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat
 
@@ -162,6 +165,31 @@ def test_two_plates_in_one_cell_divide_it_as_one():
     np.testing.assert_array_equal(pair.kink, one.kink)
     near = np.isfinite(one.phi) & np.isfinite(pair.phi)
     np.testing.assert_array_equal(np.sign(pair.phi[near]), np.sign(one.phi[near]))
+
+
+def leaflet(gap, *, mirrored=False, height=0.66):
+    """From a wall to the middle plane, and up along it: normals of one point up and of the mirrored one down."""
+    z = np.array([0.31, 0.36, 0.36 + 0.5 * (height - 0.36), height])
+    x = np.array([-0.1, 0.5 - 0.5 * gap, 0.5 - 0.5 * gap, 0.5 - 0.5 * gap])
+
+    def place(u, v):
+        across, up = (np.interp(3.0 * u, np.arange(4), values) for values in (x, z))
+        return np.column_stack([1.0 - across if mirrored else across, 1.6 * v - 0.3, up])
+
+    return grid(6, place)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("gap", [0.02, 0.06])
+def test_both_outer_sides_of_sheets_that_touch_with_free_edges_are_one_side(gap):
+    """Edges of the mesh that lead over both free edges cross both continuations, and say nothing about the normals."""
+    e, two = enriching(7, kinked=False), surfaces(leaflet(gap), leaflet(gap, mirrored=True))
+    phi = e(two, films=partial(Films, COMM, two, np.zeros_like(two.x))).phi
+    x, _, z = e.x.T
+    above, below = np.isfinite(phi) & (z > 0.45) & (abs(x - 0.5) > 0.5 * gap), np.isfinite(phi) & (z < 0.3)
+    assert len(set(COMM.allreduce(list(phi[above] < 0.0)))) == 1
+    assert len(set(COMM.allreduce(list(phi[below] < 0.0)))) == 1
+    assert set(COMM.allreduce(list(phi[above] < 0.0))) != set(COMM.allreduce(list(phi[below] < 0.0)))
 
 
 def test_three_plates_in_a_star_divide_their_own_cells_alone():

@@ -25,8 +25,8 @@ AGREE = 0.5
 """Product of unit normals from which on they agree."""
 WISH = 1e-6
 """What a node in a film counts for the signs of normals, relative to an edge that leads past the film."""
-PUSHED = 0.1
-"""Part of the push that all loads of two sheets together would have on them, below which it does not matter where."""
+ALIKE = 0.8
+"""Part of the push that all loads of two sheets together would have on them from which on they push one way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,7 @@ class Film:
     Attributes:
         other: number of that.
         nodes: their numbers.
+        covered: mask of those that are not beyond a free end of either.
         distance: from the other sheet, with the sign of its own normals; unit: length.
         agree: product of the unit normals of both sheets.
         away: from the nearest place to that on the other sheet, shape (nodes, 3); unit: length.
@@ -44,6 +45,7 @@ class Film:
 
     other: int
     nodes: IntArray
+    covered: Any
     distance: FloatArray
     agree: FloatArray
     away: FloatArray
@@ -73,21 +75,22 @@ class Films:
     ) -> None:
         self._comm, self._load, self._number = comm, load, surfaces.sheets
         self._sheet, self._phi = near.sheet(), near.signed_distance()
-        gap, covered, first = _gaps(near), near.covered(), self._phi
+        gap, covered, first, distances = _gaps(near), near.covered(), near.normals(), _distances(near)
         self._films: list[Film] = []
         for k in range(surfaces.sheets):
-            here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k) & covered)
+            here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k))
             if not len(here):
                 continue
-            other = surfaces.alone(k).nearest(x, Sought(here, np.abs(first[here]) + FILM * sizes[here]))
-            gaps, distance = _gaps(other), other.signed_distance()
-            here = here[other.covered()[here]]
+            other = surfaces.alone(k).nearest(x, Sought(here, distances[here] + FILM * sizes[here]))
+            gaps, distance, found = _gaps(other), other.signed_distance(), other.sheet()
+            here = here[found[here] >= 0]
             away = gap[here] - gaps[here]
             close = np.linalg.norm(away, axis=1) <= FILM * sizes[here]
             here, away = here[close], away[close]
-            normals = [np.sign(d[here])[:, None] * _unit(g[here]) for d, g in ((first, gap), (distance, gaps))]
+            agree = np.einsum("ni,ni->n", first[here], other.normals()[here])
             both = sp.csr_matrix(sum(one.functions(continued=True)[here] for one in (near, other)))
-            self._films.append(Film(k, here, distance[here], np.einsum("ni,ni->n", *normals), away, both))
+            there = covered[here] & other.covered()[here]
+            self._films.append(Film(k, here, there, distance[here], agree, away, both))
 
     def past(self, edges: IntArray, nearest: IntArray) -> Any:
         """Mask of edges that neither begin nor end at a film between the sheets that are nearest to their ends.
@@ -115,7 +118,7 @@ class Films:
         """
         result = np.zeros((number, number))
         for film in self._films:
-            result[:, film.other] += np.bincount(self._sheet[film.nodes], WISH * film.agree, number)
+            result[:, film.other] += np.bincount(self._sheet[film.nodes], WISH * film.covered * film.agree, number)
         return result
 
     def signed_distance(self, turned: FloatArray) -> FloatArray:
@@ -137,17 +140,19 @@ class Films:
         return result
 
     def suit(self, load: FloatArray) -> bool:
-        """Whether those sheets carry the jump that should under a load, if that matters (collective).
+        """Whether those sheets carry the jump that should under a load, where that is as clear as it was (collective).
 
         Args:
             load: force per area, see above.
         """
-        pushed, together = self._pushed(load)
-        return not (((pushed < 0.0) != self._carries) & (np.abs(pushed) > PUSHED * together)).any()
+        (pushed, together), (before, all_before) = self._pushed(load), self._pushed(self._load)
+        clear = (np.abs(pushed) > ALIKE * together) & (np.abs(before) >= ALIKE * all_before)
+        return not (((pushed < 0.0) != self._carries) & clear).any()
 
     def _above(self, film: Film) -> Any:
         """Mask of its nodes where the sheets lie one above the other with normals that agree."""
-        return self._turned[self._sheet[film.nodes]] * self._turned[film.other] * film.agree > AGREE
+        agree = self._turned[self._sheet[film.nodes]] * self._turned[film.other] * film.agree > AGREE
+        return agree & film.covered
 
     def _pushed(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Work of a load on two sheets that would move from the first one to the other (collective).
@@ -173,6 +178,8 @@ def _gaps(near: NearestOnSurfaces) -> FloatArray:
     return result
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    lengths = np.linalg.norm(vectors, axis=1)
-    return np.asarray(vectors / np.where(lengths > 0.0, lengths, 1.0)[:, None])
+def _distances(near: NearestOnSurfaces) -> FloatArray:
+    """Of the points, zero where one is farther, shape (m,); unit: length."""
+    result = np.zeros(near.count)
+    result[near.point] = near.distance
+    return result

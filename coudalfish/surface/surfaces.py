@@ -264,6 +264,12 @@ class NearestOnSurfaces:
         side, distance = -np.einsum("pi,pi->p", self.gap[k], normal), self.distance[k]
         return self._spread(np.where(self._beyond[k], side, np.where(side < 0.0, -distance, distance)), np.nan)
 
+    def normals(self) -> FloatArray:
+        """Unit normals there, to where the distance is positive, zero where a point is farther, shape (m, 3)."""
+        k, result = self._first, np.zeros((self.count, 3))
+        result[self.point[k]] = -self.surfaces.normals[self.triangle[k], self.kind[k]]
+        return result
+
     def sheet(self) -> IntArray:
         """Number of the nearest sheet, -1 where a point is farther, shape (m,)."""
         return self._spread(self.surfaces.net.sheet[self.triangle[self._first]], -1)
