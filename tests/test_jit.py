@@ -20,7 +20,7 @@ from mpi_runs import outside
 from on_disk import ROOT
 
 from tigar_x import compat
-from tigar_x.compat import forms, jit
+from tigar_x.compat import forms, jit, kernels
 
 OPTIONS = next(iter(forms.JIT.values()))
 HERE = "test_jit.area()"
@@ -188,3 +188,17 @@ def test_a_cache_that_cannot_be_written_serves_what_is_in_it(cache, monkeypatch)
     next(cache.glob("*.cached")).unlink()
     with pytest.raises(RuntimeError, match=r"Read-only file system.*XDG_CACHE_HOME"):
         area()
+
+
+def test_functions_in_c_are_compiled_once(cache, monkeypatch):
+    source = "int64_t twice(int64_t k) { return 2 * k; }"
+    wanted = "tried", "int64_t twice(int64_t);", f"#include <stdint.h>\n{source}"
+    assert kernels.c_functions(*wanted).lib.twice(21) == 42
+    with monkeypatch.context() as patch:
+        patch.setattr(kernels, "_build", None)
+        assert kernels.c_functions(*wanted).lib.twice(4) == 8
+    with pytest.raises(cffi.VerificationError):
+        kernels.c_functions("tried", wanted[1], "no C")
+    left = [path.name for path in cache.iterdir() if path.name != jit._LOCKS]
+    assert len(left) == 1
+    assert left[0].startswith("tigar_x_tried_")

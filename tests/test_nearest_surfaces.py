@@ -5,11 +5,11 @@ import pytest
 from mpi4py import MPI
 
 from coudalfish.surface.boundary import attached
+from coudalfish.surface.boxes import CORNER
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
-from coudalfish.surface.triangles import CORNER, EDGE, FACE, Triangles
 
 RNG = np.random.default_rng(11)
 
@@ -52,32 +52,6 @@ def cube(n=3, triangles=False):
 
 def nearest(surface, x, reach=10.0):
     return surface.nearest(np.asarray(x, dtype=float), Sought(np.arange(len(x)), reach))
-
-
-def test_nearest_places_of_triangles():
-    """As the nearest ones of their sides and, where it is within, of the foot in their plane."""
-    x, points = RNG.standard_normal((400, 3, 3)), 1.5 * RNG.standard_normal((400, 3))
-    triangles, every = Triangles(x), np.arange(400)
-    inner, gap, kind = triangles.nearest(points, every)
-    found = np.linalg.norm(gap, axis=1)
-    place = np.einsum("nc,nci->ni", np.column_stack([1.0 - inner.sum(axis=1), inner]), x)
-    np.testing.assert_allclose(place + gap, points, atol=1e-14)
-    best = np.full(400, np.inf)
-    for side in range(3):
-        a, b = x[:, (side + 1) % 3], x[:, (side + 2) % 3]
-        t = np.clip(np.einsum("ni,ni->n", points - a, b - a) / ((b - a) ** 2).sum(axis=1), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
-    foot = triangles.in_plane(points, every)
-    inside = (foot >= 0.0).all(axis=1)
-    height = np.linalg.norm(points - np.einsum("nc,nci->ni", foot, x), axis=1)
-    np.testing.assert_allclose(found, np.where(inside, height, best), atol=1e-13)
-    np.testing.assert_array_equal(kind == FACE, inside)
-    all_three = np.column_stack([1.0 - inner.sum(axis=1), inner])
-    for corner in range(3):
-        np.testing.assert_allclose(all_three[kind == EDGE + corner, corner], 0.0, atol=1e-15)
-        np.testing.assert_allclose(all_three[kind == CORNER + corner, corner], 1.0)
-        assert (kind == EDGE + corner).sum() > 5
-        assert (kind == CORNER + corner).sum() > 5
 
 
 @pytest.mark.parametrize("triangles", [False, True])
@@ -241,19 +215,3 @@ def test_patches_that_are_parametrised_against_each_other_have_one_side():
     assert set(near.sheet()) == {0}
     ends = surface.net.at_corners(surface.net.ends)[surface.net.place]
     np.testing.assert_array_equal(ends, (np.abs(sheets.X[:, :2] - 0.5) > 0.5 - 1e-9).any(axis=1))
-
-
-def test_no_triangle_is_missed_however_large_it_is_and_however_far():
-    """Small and large triangles side by side, and two surfaces close to each other."""
-    bent = grid(7, lambda u, v: np.column_stack([u**3, v**3, 0.4 * u * v]))
-    other = grid(2, lambda u, v: np.column_stack([u, v, 0.05 + 0.4 * u * v]))
-    surface, x = surfaces(bent, other), RNG.uniform(-0.2, 1.2, (300, 3))
-    near = nearest(surface, x, 0.4)
-    every = np.arange(len(surface.net.triangles))
-    least = np.array(
-        [np.linalg.norm(surface.triangles.nearest(np.tile(p, (len(every), 1)), every)[1], axis=1).min() for p in x]
-    )
-    found = np.full(300, np.inf)
-    found[near.point] = near.distance
-    np.testing.assert_allclose(found, np.where(least <= 0.4, least, np.inf), atol=1e-14)
-    assert (np.diff(near.point) >= 0).all()

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.spatial import cKDTree
 
-from coudalfish.surface.balls import Balls
-from coudalfish.surface.interface import SAME_DISTANCE, Sought
+from coudalfish.surface.boxes import CORNER, EDGE, FACE, Boxes, NearPlaces
+from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import OPPOSITE, Net
-from coudalfish.surface.triangles import CORNER, EDGE, FACE, NearPlaces, Triangles
+from coudalfish.surface.triangles import Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
@@ -57,9 +56,9 @@ class Surfaces:
         return np.asarray(result / np.maximum(np.linalg.norm(result, axis=2, keepdims=True), np.finfo(float).tiny))
 
     @cached_property
-    def _balls(self) -> Balls:
-        """Where the cells are."""
-        return Balls.of(self.triangles, self.net.parts)
+    def _boxes(self) -> Boxes:
+        """Around the triangles."""
+        return Boxes.of(self.triangles.x, self.net.parts)
 
     def alone(self, k: int) -> "Surfaces":
         """One of the connected surfaces."""
@@ -75,38 +74,8 @@ class Surfaces:
         limit = np.full(len(x), -1.0)
         for one in sought:
             limit[one.points] = one.reach
-        near = NearPlaces.none()
-        if len(self.net.triangles) and (limit >= 0.0).any():
-            near = self._within(x, limit)
-            near = near.only(self._different(near))
-        return NearestOnSurfaces(self, len(x), **near._asdict())
-
-    def _within(self, x: FloatArray, limit: FloatArray) -> NearPlaces:
-        """Places that are no farther than others, or farther by rounding alone, of points that have one within a limit.
-
-        The cell with the nearest middle gives a bound, which leaves few others.
-        """
-        cells, tolerance = self._balls, SAME_DISTANCE * (float(limit.max()) + float(self._balls.radius.max()))
-        points, known = cells.nearest(x, limit)
-        x, limit, every = x[points], limit[points], np.arange(len(points))
-        first = self._on_cells(x, every, known)
-        nearest = first.distance.reshape(-1, self.net.parts).min(axis=1)
-        bound = np.minimum(nearest, limit)
-        others = self._on_cells(x, *cells.near(x, bound + tolerance, known))
-        others = others.only(others.distance <= bound[others.point] + tolerance)
-        np.minimum.at(bound, others.point, others.distance)
-        bound = np.minimum(bound + tolerance, limit)
-        near = NearPlaces.joined([places.only(places.distance <= bound[places.point]) for places in (first, others)])
-        return near._replace(point=points[near.point])
-
-    def _on_cells(self, x: FloatArray, i: IntArray, cells: IntArray) -> NearPlaces:
-        """Places of all triangles of one cell for each of some points i."""
-        return NearPlaces.of(self.triangles, x, np.repeat(i, self.net.parts), self._triangles(cells))
-
-    def _triangles(self, cells: IntArray) -> IntArray:
-        """Of some cells, one cell after the other."""
-        parts = self.net.parts
-        return np.asarray((parts * cells[:, None] + np.arange(parts)).ravel())
+        near = self._boxes.nearest(x, limit)
+        return NearestOnSurfaces(self, len(x), **near.only(self._different(near))._asdict())
 
     def _different(self, near: NearPlaces) -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""
@@ -136,18 +105,14 @@ class Surfaces:
         result = np.zeros(len(start), dtype=bool)
         if not len(start) or not len(self.net.triangles):
             return result
-        line, k = self._balls.pierced(start, end)
-        line, k = np.repeat(line, self.net.parts), self._triangles(k)
-        result[line[self.triangles.crossed(start[line], end[line], k)]] = True
+        result[self._boxes.pierced(start, end)[0]] = True
         a, b, away = self._at_ends(self.net.ends)
         if not len(a):
             return result
         reach = np.broadcast_to(reach, len(start))
         c, d = b + reach.max() * away, a + reach.max() * away
         beyond = Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
-        line, k = Balls.of(beyond).pierced(start, end)
-        through = beyond.crossed(start[line], end[line], k)
-        line, k = line[through], k[through]
+        line, k = Boxes.of(beyond.x).pierced(start, end)
         from_edge, height = (
             [np.einsum("li,li->l", x[line] - a[k % len(a)], way) for x in (start, end)]
             for way in (away[k % len(a)], beyond.normals[k])
@@ -178,33 +143,16 @@ class Surfaces:
 
     def from_ends(self, x: FloatArray, reach: float | FloatArray) -> FloatArray:
         """Distances of points from these edges, infinite where they are farther; arguments as in :meth:`near_ends`."""
-        a, b, middles = self._free
-        result, reach = np.full(len(x), np.inf), np.broadcast_to(reach, len(x))
-        if not len(a) or not len(x):
-            return result
-        arms = b - a
-        lengths = np.einsum("ei,ei->e", arms, arms)
-        half = 0.5 * float(np.sqrt(lengths.max()))
-        bound, _ = middles.query(x, distance_upper_bound=float(reach.max()) + half)
-        points = np.flatnonzero(bound <= reach + half)  # no edge is nearer than its middle less half of its length
-        if not len(points):
-            return result
-        within = float(bound[points].max()) + half
-        near = middles.sparse_distance_matrix(cKDTree(x[points]), within, output_type="ndarray")
-        near = near[near["v"] <= bound[points[near["j"]]] + half]
-        edge, point = near["i"], points[near["j"]]
-        off = x[point] - a[edge]
-        t = np.clip(np.einsum("pi,pi->p", off, arms[edge]) / lengths[edge], 0.0, 1.0)
-        off -= t[:, None] * arms[edge]
-        np.minimum.at(result, point, np.sqrt(np.einsum("pi,pi->p", off, off)))
-        result[result > reach] = np.inf
+        reach = np.broadcast_to(reach, len(x))
+        near, result = self._free.nearest(x, reach), np.full(len(x), np.inf)
+        result[near.point] = near.distance
         return result
 
     @cached_property
-    def _free(self) -> tuple[FloatArray, FloatArray, cKDTree]:
-        """Both ends of the edges at which surfaces end freely, and the tree of the middles of these."""
+    def _free(self) -> Boxes:
+        """The edges at which surfaces end freely, as triangles without areas."""
         a, b, _ = self._at_ends(self.net.free)
-        return a, b, cKDTree(0.5 * (a + b))
+        return Boxes.of(np.stack([a, b, b], axis=1))
 
 
 @dataclass(frozen=True, eq=False)

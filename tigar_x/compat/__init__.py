@@ -36,6 +36,7 @@ from tigar_x.compat.forms import (
     compile_seconds,
     compiled_forms,
 )
+from tigar_x.compat.kernels import c_functions
 from tigar_x.compat.meshes import (
     bounding_box_tree,
     candidate_cells,
@@ -79,6 +80,7 @@ __all__ = [
     "IntArray",
     "C_FLAGS",
     "CompiledForm",
+    "c_functions",
     "cache_folder",
     "compiled_forms",
     "PartialForm",

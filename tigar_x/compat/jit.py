@@ -16,7 +16,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,32 @@ def safe_cache(what: str) -> Iterator[None]:
         cache.release()
 
 
+def build_once(name: str, ready: Path, what: str, build: Callable[[], None], timeout: int = 600) -> None:
+    """Build a file of the cache unless it is there, while other processes wait for it.
+
+    Args:
+        name: of the module, which ends with a hexadecimal digest.
+        ready: the file.
+        what: is built, for messages.
+        build: makes the file, the last thing that it does.
+        timeout: how long another process is waited for [s].
+
+    Raises:
+        RuntimeError: it has to be built and the cache cannot be written.
+    """
+    if ready.exists():
+        return
+    cache = _Cache(what)
+    cache.open(ready.parent)
+    try:
+        cache.wait(name, timeout)
+        if not ready.exists():
+            with _compilers_log_kept():
+                build()
+    finally:
+        cache.release()
+
+
 class _Cache:
     """What takes the place of FFCx's functions while one thing is compiled."""
 
@@ -63,8 +89,8 @@ class _Cache:
         """A module of the cache; (None, None), and its lock is held if there are locks, when it has to be compiled."""
         found = _load(name, objects, folder)
         if found is None:
-            self._open(folder)
-            self._wait(name, timeout)
+            self.open(folder)
+            self.wait(name, timeout)
             found = _load(name, objects, folder)  # by another process meanwhile
         if found is None:
             return None, None
@@ -109,7 +135,7 @@ class _Cache:
             os.close(self._locks)
             self._locks = None
 
-    def _open(self, folder: Path) -> None:
+    def open(self, folder: Path) -> None:
         """Make the cache's folder if it is not there, and open the locks in it."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -125,7 +151,7 @@ class _Cache:
         except OSError as error:  # of another user in a shared cache
             log.debug("no locks in %s: %s", folder, error)
 
-    def _wait(self, name: str, timeout: int) -> None:
+    def wait(self, name: str, timeout: int) -> None:
         """Take the lock of a module; wait for who has it, but not for ever."""
         end, told = time.monotonic() + timeout, False
         while self._locks is not None:

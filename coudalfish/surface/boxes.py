@@ -1,0 +1,174 @@
+"""Triangles in a tree of boxes: the places of them that are nearest to points, and the lines that pass through them.
+
+What is tested for every point, some boxes and a few triangles, differs from point to point: this is in C, ``boxes.c``.
+"""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from coudalfish.surface.interface import SAME_DISTANCE
+from tigar_x import checks, compat
+from tigar_x.compat import FloatArray, IntArray
+
+FACE, EDGE, CORNER = 0, 1, 4
+"""Kinds of nearest places: within the triangle, ``EDGE + i`` on the edge opposite corner i, ``CORNER + i`` at it."""
+LEAF = 4
+"""Triangles in the smallest boxes, as in boxes.c."""
+ROOM = 256
+"""Places, beside two for each point, for which there is room at first."""
+_DECLARATIONS = """
+typedef struct { int64_t count; const double *x; const int64_t *order; int64_t leaves; double *boxes; } tree;
+typedef struct {
+  int64_t room; int64_t *point, *triangle, *kind; double *inner, *gap, *distance;
+} places;
+typedef struct { double share, size; } tolerance;
+void fit(const tree *);
+int64_t nearest(const tree *, int64_t, const double *, const double *, const tolerance *, places *);
+int64_t pierced(const tree *, int64_t, const double *, const double *, int64_t, int64_t *, int64_t *);
+"""
+
+
+class NearPlaces(NamedTuple):
+    """Places of triangles that are nearest to points.
+
+    Attributes:
+        point: to which of them, ascending, shape (n,).
+        triangle: in which triangles, shape (n,).
+        kind: see above, shape (n,).
+        inner: second and third barycentric coordinates there, shape (n, 2).
+        gap: from there to the points, shape (n, 3); unit: length.
+        distance: its length, shape (n,).
+    """
+
+    point: IntArray
+    triangle: IntArray
+    kind: IntArray
+    inner: FloatArray
+    gap: FloatArray
+    distance: FloatArray
+
+    @classmethod
+    def room(cls, n: int) -> "NearPlaces":
+        """For n places."""
+        point, triangle, kind = np.empty((3, n), dtype=np.int64)
+        return cls(point, triangle, kind, np.empty((n, 2)), np.empty((n, 3)), np.empty(n))
+
+    def only(self, chosen: Any) -> "NearPlaces":
+        """Some of them, by a mask or in an order."""
+        return NearPlaces(*(part[chosen] for part in self))
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Triangles in a tree of boxes.
+
+    Attributes:
+        x: corners of the triangles, shape (triangles, 3, 3); unit: length.
+        order: in which they are in the smallest boxes, those that are close to each other, shape (triangles,).
+    """
+
+    x: FloatArray
+    order: IntArray
+
+    def __post_init__(self) -> None:
+        checks.freeze(self)
+
+    @classmethod
+    def of(cls, x: FloatArray, parts: int = 1) -> "Boxes":
+        """Around triangles, of which some parts make a cell each.
+
+        Args:
+            x: their corners, cell by cell, shape (triangles, 3, 3); unit: length.
+            parts: how many there are in each cell.
+        """
+        middles = x.reshape(-1, 3 * parts, 3).mean(axis=1)
+        cells = cKDTree(middles, leafsize=max(1, LEAF // parts)).indices if len(middles) else np.arange(0)
+        order = (parts * cells[:, None] + np.arange(parts)).ravel()
+        return cls(np.ascontiguousarray(x), order.astype(np.int64))
+
+    @cached_property
+    def _tree(self) -> Any:
+        """What the functions in C take, and the arrays on which it rests."""
+        ffi, leaves = _functions().ffi, 1
+        while leaves * LEAF < len(self.x):
+            leaves *= 2
+        boxes = np.empty((2 * leaves - 1, 2, 3))
+        tree = ffi.new("tree *")
+        tree.count, tree.leaves = len(self.x), leaves
+        tree.x, tree.order, tree.boxes = _doubles(self.x), _integers(self.order), _doubles(boxes)
+        _functions().lib.fit(tree)
+        return tree, boxes
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the diagonal of the largest of the smallest boxes; unit: length."""
+        low, high = self._tree[1][-self._tree[0].leaves :].swapaxes(0, 1)
+        return float(np.linalg.norm(np.where(low <= high, high - low, 0.0), axis=1).max())
+
+    def nearest(self, x: FloatArray, limit: FloatArray) -> NearPlaces:
+        """Nearest places to points, and those that are farther by rounding alone.
+
+        Args:
+            x: points, shape (n, 3); unit: length.
+            limit: how far places may be, negative where none is sought, shape (n,).
+        """
+        x, limit = np.ascontiguousarray(x), np.ascontiguousarray(limit)
+        room = ROOM + 2 * len(x)
+        if not len(x) or not len(self.x):
+            return NearPlaces.room(0)
+        while True:
+            places = NearPlaces.room(room)
+            number = self._nearest(x, limit, places)
+            if number >= 0:
+                return places.only(slice(number))
+            room *= 2
+
+    def _nearest(self, x: FloatArray, limit: FloatArray, places: NearPlaces) -> int:
+        """Fill the first places: their number, -1 where there are more."""
+        functions = _functions()
+        there = functions.ffi.new("places *")
+        there.room = len(places.distance)
+        there.point, there.triangle, there.kind = map(_integers, places[:3])
+        there.inner, there.gap, there.distance = map(_doubles, places[3:])
+        tolerance = functions.ffi.new("tolerance *", (SAME_DISTANCE, self.size))
+        return int(functions.lib.nearest(self._tree[0], len(x), _doubles(x), _doubles(limit), tolerance, there))
+
+    def pierced(self, start: FloatArray, end: FloatArray) -> tuple[IntArray, IntArray]:
+        """Pairs of straight lines and triangles through which they pass, lines ascending.
+
+        Args:
+            start: where lines begin, shape (n, 3); unit: length.
+            end: where they end.
+        """
+        start, end, room = np.ascontiguousarray(start), np.ascontiguousarray(end), ROOM + 2 * len(start)
+        if not len(start) or not len(self.x):
+            return tuple(np.empty((2, 0), dtype=np.int64))
+        pierced, ends = _functions().lib.pierced, (_doubles(start), _doubles(end))
+        while True:
+            line, triangle = np.empty((2, room), dtype=np.int64)
+            number = pierced(self._tree[0], len(start), *ends, room, _integers(line), _integers(triangle))
+            if number >= 0:
+                return line[:number], triangle[:number]
+            room *= 2
+
+
+@cache
+def _functions() -> Any:
+    """The functions in C."""
+    source = Path(__file__).with_suffix(".c").read_text(encoding="ascii")
+    return compat.c_functions("boxes", _DECLARATIONS, source)
+
+
+def _doubles(values: FloatArray) -> Any:
+    ffi = _functions().ffi
+    return ffi.cast("double *", values.ctypes.data)
+
+
+def _integers(values: IntArray) -> Any:
+    ffi = _functions().ffi
+    return ffi.cast("int64_t *", values.ctypes.data)
