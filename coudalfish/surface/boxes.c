@@ -1,11 +1,10 @@
 /* Triangles in a tree of boxes: the places of them that are nearest to points, and the lines that pass through them.
 
-   Node i of the tree has the nodes 2 i + 1 and 2 i + 2 below it, and the last "leaves" nodes have LEAF triangles each.
+   Node i of the tree has the nodes 2 i + 1 and 2 i + 2 below it, and the last "leaves" nodes have a few triangles each.
    The regions of nearest places are those of C. Ericson, Real-Time Collision Detection, section 5.1.5. */
 #include <math.h>
 #include <stdint.h>
 
-#define LEAF 4
 #define DEPTH 64
 #define ROUNDED 1e-12 /* part of a distance that rounding may lack: no triangle that counts is lost */
 
@@ -13,10 +12,12 @@ enum { FACE = 0, EDGE = 1, CORNER = 4 };
 
 typedef struct {
   int64_t count;        /* of the triangles */
-  const double *x;      /* their corners, (count, 3, 3) */
-  const int64_t *order; /* in which they are in the leaves, (count) */
+  const double *x;      /* their corners, those of the leaves one after the other, (count, 3, 3) */
+  const int64_t *order; /* their numbers in this order, (count) */
   int64_t leaves;       /* a power of two */
+  const int64_t *first; /* triangle of each leaf, and their number, (leaves + 1) */
   double *boxes;        /* least and largest coordinates, (2 leaves - 1, 2, 3) */
+  double *discs;        /* around the triangles of a leaf: middle, unit normal, thickness, radius, (leaves, 8) */
 } tree;
 
 typedef struct {
@@ -50,9 +51,34 @@ static double part(double value, double whole) { return whole != 0.0 ? value / w
 /* Farthest that counts as equally near as the nearest. */
 static double same(double least, const tolerance *t) { return least + t->share * (least + t->size); }
 
-static int64_t end_of(const tree *t, int64_t leaf) { return (leaf + 1) * LEAF < t->count ? (leaf + 1) * LEAF : t->count; }
+static void fit_disc(const tree *t, int64_t leaf) {
+  double *middle = t->discs + 8 * leaf, *normal = middle + 3, *thickness = middle + 6, *radius = middle + 7;
+  const double *box = t->boxes + 6 * (leaf + t->leaves - 1);
+  double b[3], c[3], across[3];
+  for (int i = 0; i < 3; ++i) {
+    middle[i] = 0.5 * (box[i] + box[3 + i]);
+    normal[i] = 0.0;
+  }
+  *thickness = *radius = 0.0;
+  for (int64_t k = t->first[leaf]; k < t->first[leaf + 1]; ++k) {
+    minus(t->x + 9 * k + 3, t->x + 9 * k, b);
+    minus(t->x + 9 * k + 6, t->x + 9 * k, c);
+    cross(b, c, across);
+    for (int i = 0; i < 3; ++i)
+      normal[i] += across[i];
+  }
+  const double length = sqrt(dot(normal, normal));
+  for (int i = 0; i < 3; ++i)
+    normal[i] = part(normal[i], length);
+  for (int64_t k = 3 * t->first[leaf]; k < 3 * t->first[leaf + 1]; ++k) {
+    minus(t->x + 3 * k, middle, b);
+    *thickness = fmax(*thickness, fabs(dot(b, normal)));
+    *radius = fmax(*radius, sqrt(dot(b, b)));
+  }
+  *thickness += ROUNDED * *radius;
+}
 
-/* Boxes around what is below each node; those of nothing are as far away as can be. */
+/* Boxes around what is below each node, and discs; boxes of nothing are as far away as can be. */
 void fit(const tree *t) {
   for (int64_t node = 2 * t->leaves - 2; node >= 0; --node) {
     double *low = t->boxes + 6 * node, *high = low + 3;
@@ -60,9 +86,9 @@ void fit(const tree *t) {
     for (int i = 0; i < 3; ++i) {
       low[i] = INFINITY;
       high[i] = -INFINITY;
-      for (int64_t k = leaf * LEAF; leaf >= 0 && k < end_of(t, leaf); ++k)
+      for (int64_t k = leaf < 0 ? 0 : t->first[leaf]; leaf >= 0 && k < t->first[leaf + 1]; ++k)
         for (int corner = 0; corner < 3; ++corner) {
-          const double value = t->x[9 * t->order[k] + 3 * corner + i];
+          const double value = t->x[9 * k + 3 * corner + i];
           low[i] = fmin(low[i], value);
           high[i] = fmax(high[i], value);
         }
@@ -71,6 +97,8 @@ void fit(const tree *t) {
         high[i] = fmax(high[i], t->boxes[6 * child + 3 + i]);
       }
     }
+    if (leaf >= 0)
+      fit_disc(t, leaf);
   }
 }
 
@@ -82,6 +110,15 @@ static double from_box(const double *box, const double *at) {
       result += way * way;
   }
   return result;
+}
+
+/* Square of what a point is at least away from a disc. */
+static double from_disc(const double *disc, const double *at) {
+  double off[3];
+  minus(at, disc, off);
+  const double height = fabs(dot(off, disc + 3)), above = height - disc[6];
+  const double aside = sqrt(fmax(dot(off, off) - height * height, 0.0)) - disc[7];
+  return (above > 0.0 ? above * above : 0.0) + (aside > 0.0 ? aside * aside : 0.0);
 }
 
 /* Nearest place of one triangle: its kind, and as in places. */
@@ -130,9 +167,9 @@ static int64_t on_triangle(const double *x, const double *at, double *inner, dou
 /* Places of a leaf that may be the nearest ones: the least distance, and the number of places by now, -1: no room. */
 static int64_t in_leaf(const tree *t, int64_t leaf, const double *at, const tolerance *tol, double limit,
                        double *least, int64_t first, int64_t found, const places *p) {
-  for (int64_t k = leaf * LEAF; k < end_of(t, leaf); ++k) {
+  for (int64_t k = t->first[leaf]; k < t->first[leaf + 1]; ++k) {
     double inner[2], gap[3], distance;
-    const int64_t triangle = t->order[k], kind = on_triangle(t->x + 9 * triangle, at, inner, gap, &distance);
+    const int64_t kind = on_triangle(t->x + 9 * k, at, inner, gap, &distance);
     if (!(distance <= limit && distance <= same(*least, tol)))
       continue;
     if (same(distance, tol) < *least)
@@ -141,7 +178,7 @@ static int64_t in_leaf(const tree *t, int64_t leaf, const double *at, const tole
       *least = distance;
     if (found == p->room)
       return -1;
-    p->triangle[found] = triangle;
+    p->triangle[found] = k;
     p->kind[found] = kind;
     p->distance[found] = distance;
     for (int i = 0; i < 2; ++i)
@@ -153,11 +190,17 @@ static int64_t in_leaf(const tree *t, int64_t leaf, const double *at, const tole
   return found;
 }
 
-/* Number of the places by then, -1: no room. */
-static int64_t of_point(const tree *t, const double *at, double limit, const tolerance *tol, int64_t first,
-                        const places *p) {
+/* Square of what bounds the search for a place, with a little more for rounding. */
+static double bounding(double distance) { return distance * distance * (1.0 + ROUNDED); }
+
+/* Number of the places by then, -1: no room; a triangle, in the tree's order, may be known that is not far. */
+static int64_t of_point(const tree *t, const double *at, double limit, const tolerance *tol, int64_t known,
+                        int64_t first, const places *p) {
   int64_t stack[DEPTH], found = first;
-  double far[DEPTH], least = INFINITY, bound = limit * limit * (1.0 + ROUNDED);
+  double far[DEPTH], inner[2], gap[3], least, bound = bounding(limit);
+  on_triangle(t->x + 9 * known, at, inner, gap, &least);
+  bound = fmin(bound, bounding(same(least, tol)));
+  least = INFINITY;
   int height = 1;
   stack[0] = 0;
   far[0] = from_box(t->boxes, at);
@@ -172,14 +215,12 @@ static int64_t of_point(const tree *t, const double *at, double limit, const tol
       stack[height] = left <= right ? child + 1 : child;
       far[height++] = left <= right ? right : left;
     }
-    if (way > bound)
+    if (way > bound || from_disc(t->discs + 8 * (node - t->leaves + 1), at) > bound)
       continue;
     found = in_leaf(t, node - t->leaves + 1, at, tol, limit, &least, first, found, p);
     if (found < 0)
       return -1;
-    const double within = same(least, tol) * same(least, tol) * (1.0 + ROUNDED);
-    if (within < bound)
-      bound = within;
+    bound = fmin(bound, bounding(same(least, tol)));
   }
   return found;
 }
@@ -188,11 +229,11 @@ static int64_t of_point(const tree *t, const double *at, double limit, const tol
    ascending; -1: there is no room for them. */
 int64_t nearest(const tree *t, int64_t points, const double *at, const double *limit, const tolerance *tol,
                 places *p) {
-  int64_t found = 0;
+  int64_t found = 0, known = 0;
   for (int64_t i = 0; i < points; ++i) {
     if (!(limit[i] >= 0.0))
       continue;
-    const int64_t first = found, last = of_point(t, at + 3 * i, limit[i], tol, first, p);
+    const int64_t first = found, last = of_point(t, at + 3 * i, limit[i], tol, known, first, p);
     if (last < 0)
       return -1;
     double least = INFINITY;
@@ -201,8 +242,9 @@ int64_t nearest(const tree *t, int64_t points, const double *at, const double *l
     for (int64_t k = first; k < last; ++k) {
       if (p->distance[k] > same(least, tol))
         continue;
+      known = p->triangle[k];
       p->point[found] = i;
-      p->triangle[found] = p->triangle[k];
+      p->triangle[found] = t->order[known];
       p->kind[found] = p->kind[k];
       p->distance[found] = p->distance[k];
       for (int j = 0; j < 2; ++j)
@@ -264,8 +306,8 @@ int64_t pierced(const tree *t, int64_t lines, const double *start, const double 
         stack[height++] = 2 * node + 1;
         continue;
       }
-      for (int64_t k = leaf * LEAF; k < end_of(t, leaf); ++k)
-        if (passes(t->x + 9 * t->order[k], start + 3 * i, end + 3 * i)) {
+      for (int64_t k = t->first[leaf]; k < t->first[leaf + 1]; ++k)
+        if (passes(t->x + 9 * k, start + 3 * i, end + 3 * i)) {
           if (found == room)
             return -1;
           line[found] = i;

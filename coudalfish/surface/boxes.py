@@ -18,11 +18,14 @@ from tigar_x.compat import FloatArray, IntArray
 FACE, EDGE, CORNER = 0, 1, 4
 """Kinds of nearest places: within the triangle, ``EDGE + i`` on the edge opposite corner i, ``CORNER + i`` at it."""
 LEAF = 4
-"""Triangles in the smallest boxes, as in boxes.c."""
+"""Triangles in the smallest boxes, at most."""
 ROOM = 256
 """Places, beside two for each point, for which there is room at first."""
 _DECLARATIONS = """
-typedef struct { int64_t count; const double *x; const int64_t *order; int64_t leaves; double *boxes; } tree;
+typedef struct {
+  int64_t count; const double *x; const int64_t *order; int64_t leaves; const int64_t *first;
+  double *boxes, *discs;
+} tree;
 typedef struct {
   int64_t room; int64_t *point, *triangle, *kind; double *inner, *gap, *distance;
 } places;
@@ -70,10 +73,12 @@ class Boxes:
     Attributes:
         x: corners of the triangles, shape (triangles, 3, 3); unit: length.
         order: in which they are in the smallest boxes, those that are close to each other, shape (triangles,).
+        parts: how many of them, one after the other, make a cell.
     """
 
     x: FloatArray
     order: IntArray
+    parts: int = 1
 
     def __post_init__(self) -> None:
         checks.freeze(self)
@@ -89,20 +94,22 @@ class Boxes:
         middles = x.reshape(-1, 3 * parts, 3).mean(axis=1)
         cells = cKDTree(middles, leafsize=max(1, LEAF // parts)).indices if len(middles) else np.arange(0)
         order = (parts * cells[:, None] + np.arange(parts)).ravel()
-        return cls(np.ascontiguousarray(x), order.astype(np.int64))
+        return cls(x, order.astype(np.int64), parts)
 
     @cached_property
     def _tree(self) -> Any:
         """What the functions in C take, and the arrays on which it rests."""
-        ffi, leaves = _functions().ffi, 1
-        while leaves * LEAF < len(self.x):
-            leaves *= 2
-        boxes = np.empty((2 * leaves - 1, 2, 3))
-        tree = ffi.new("tree *")
+        first = np.array([0, len(self.x) // self.parts])
+        while np.diff(first).max() > max(1, LEAF // self.parts):  # halves, as those of the tree that gave the order
+            first = np.append(np.column_stack([first[:-1], (first[:-1] + first[1:]) // 2]), first[-1])
+        first, leaves = self.parts * first, len(first) - 1
+        x, boxes, discs = self.x[self.order], np.empty((2 * leaves - 1, 2, 3)), np.empty((leaves, 8))
+        tree = _functions().ffi.new("tree *")
         tree.count, tree.leaves = len(self.x), leaves
-        tree.x, tree.order, tree.boxes = _doubles(self.x), _integers(self.order), _doubles(boxes)
+        tree.x, tree.order, tree.first = _doubles(x), _integers(self.order), _integers(first)
+        tree.boxes, tree.discs = _doubles(boxes), _doubles(discs)
         _functions().lib.fit(tree)
-        return tree, boxes
+        return tree, boxes, discs, x, first
 
     @cached_property
     def size(self) -> float:
