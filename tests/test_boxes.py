@@ -31,7 +31,7 @@ def from_triangles(x, point):
 
 def test_nearest_places_of_triangles():
     x, points = RNG.standard_normal((400, 3, 3)), 1.5 * RNG.standard_normal((400, 3))
-    found = [Boxes.of(x[k : k + 1]).nearest(points[k : k + 1], np.array([np.inf])) for k in range(400)]
+    found = [Boxes.around(x[k : k + 1]).nearest(points[k : k + 1], np.array([np.inf])) for k in range(400)]
     kind, inner, gap, distance = (
         np.concatenate([getattr(one, name) for one in found]) for name in found[0]._fields[2:]
     )
@@ -52,7 +52,7 @@ def test_nearest_places_of_triangles():
 def test_no_triangle_is_missed(parts):
     x = bent()
     points, limit = RNG.uniform(-0.3, 1.3, (400, 3)), RNG.uniform(-0.1, 0.5, 400)
-    near = Boxes.of(x, parts).nearest(points, limit)
+    near = Boxes.around(x, parts).nearest(points, limit)
     least = np.array([from_triangles(x, point).min() for point in points])
     found = np.full(400, np.inf)
     found[near.point] = near.distance
@@ -71,7 +71,7 @@ def test_all_that_are_equally_near_are_found():
     fan = np.stack([np.zeros((2 * ROOM, 3)), around[:-1], around[1:]], axis=1)
     far = fan + np.array([5.0, 0.0, 0.0])
     points = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 9.0]])
-    near = Boxes.of(np.concatenate([far, fan])).nearest(points, np.array([1.0, 2.0]))
+    near = Boxes.around(np.concatenate([far, fan])).nearest(points, np.array([1.0, 2.0]))
     np.testing.assert_array_equal(near.point, 0)
     np.testing.assert_array_equal(np.sort(near.triangle), 2 * ROOM + np.arange(2 * ROOM))
     np.testing.assert_array_equal(near.kind, CORNER)
@@ -80,7 +80,7 @@ def test_all_that_are_equally_near_are_found():
 
 def test_triangles_without_area_are_their_edges():
     a, b, points = (RNG.standard_normal((50, 3)) for _ in range(3))
-    near = Boxes.of(np.stack([a, b, b], axis=1)).nearest(points, np.full(50, np.inf))
+    near = Boxes.around(np.stack([a, b, b], axis=1)).nearest(points, np.full(50, np.inf))
     t = np.clip(np.einsum("pei,ei->pe", points[:, None] - a, b - a) / ((b - a) ** 2).sum(axis=1), 0.0, 1.0)
     expected = np.linalg.norm(points[:, None] - a - t[..., None] * (b - a), axis=2).min(axis=1)
     np.testing.assert_array_equal(near.point, np.arange(50))
@@ -92,7 +92,7 @@ def test_lines_that_pass_through_triangles(length):
     x = bent()
     start = RNG.uniform(-0.1, 1.1, (300, 3)) * [1.0, 1.0, 0.7]
     end = start + length * RNG.standard_normal((300, 3))
-    line, triangle = Boxes.of(x, 4).pierced(start, end)
+    line, triangle = Boxes.around(x, 4).pierced(start, end)
     found = np.zeros((300, len(x)), dtype=bool)
     found[line, triangle] = True
     edges = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=-1)
@@ -104,14 +104,26 @@ def test_lines_that_pass_through_triangles(length):
 
 
 def test_lines_in_the_plane_of_a_triangle_and_through_its_edges():
-    flat = Boxes.of(np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]))
+    flat = Boxes.around(np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]))
     start = np.array([[-1.0, 0.2, 0.0], [-1.0, 0.2, 0.1], [0.5, 0.5, -0.1], [0.0, 0.0, 0.0], [0.6, 0.6, -0.1]])
     end = np.array([[1.0, 0.2, 0.0], [1.0, 0.2, 0.1], [0.5, 0.5, 0.3], [0.0, 0.0, 1.0], [0.6, 0.6, 0.1]])
     np.testing.assert_array_equal(flat.pierced(start, end)[0], [0, 2, 3])
 
 
+def test_triangles_without_area_have_no_places():
+    x = bent()
+    x[::3, 2] = 0.5 * (x[::3, 0] + x[::3, 1])
+    points = RNG.uniform(0.0, 1.0, (200, 3))
+    start, end = points, points + 0.3 * RNG.standard_normal((200, 3))
+    boxes, sound = Boxes.of(Triangles(x), 4), Boxes.around(np.delete(x, np.arange(0, len(x), 3), axis=0))
+    near, expected = (one.nearest(points, np.full(200, np.inf)) for one in (boxes, sound))
+    assert (near.triangle % 3 > 0).all()
+    np.testing.assert_allclose(near.distance, expected.distance)
+    np.testing.assert_array_equal(boxes.pierced(start, end)[0], np.sort(sound.pierced(start, end)[0]))
+
+
 def test_nothing():
-    empty, some = Boxes.of(np.empty((0, 3, 3))), Boxes.of(bent(), 4)
+    empty, some = Boxes.around(np.empty((0, 3, 3))), Boxes.around(bent(), 4)
     x = np.zeros((2, 3))
     for boxes, points in ((empty, x), (some, x[:0]), (some, x + 50.0)):
         assert not len(boxes.nearest(points, np.full(len(points), 1.0)).point)

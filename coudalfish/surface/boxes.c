@@ -11,9 +11,8 @@
 enum { FACE = 0, EDGE = 1, CORNER = 4 };
 
 typedef struct {
-  int64_t count;        /* of the triangles */
-  const double *x;      /* their corners, those of the leaves one after the other, (count, 3, 3) */
-  const int64_t *order; /* their numbers in this order, (count) */
+  const double *x;      /* their corners, those of the leaves one after the other, (triangles, 3, 3) */
+  const int64_t *order; /* their numbers in this order, (triangles) */
   int64_t leaves;       /* a power of two */
   const int64_t *first; /* triangle of each leaf, and their number, (leaves + 1) */
   double *boxes;        /* least and largest coordinates, (2 leaves - 1, 2, 3) */

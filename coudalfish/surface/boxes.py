@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from coudalfish.surface.interface import SAME_DISTANCE
+from coudalfish.surface.triangles import Triangles
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 
@@ -23,7 +24,7 @@ ROOM = 256
 """Places, beside two for each point, for which there is room at first."""
 _DECLARATIONS = """
 typedef struct {
-  int64_t count; const double *x; const int64_t *order; int64_t leaves; const int64_t *first;
+  const double *x; const int64_t *order; int64_t leaves; const int64_t *first;
   double *boxes, *discs;
 } tree;
 typedef struct {
@@ -72,7 +73,7 @@ class Boxes:
 
     Attributes:
         x: corners of the triangles, shape (triangles, 3, 3); unit: length.
-        order: in which they are in the smallest boxes, those that are close to each other, shape (triangles,).
+        order: in which they are in the smallest boxes, those that are close to each other, shape (sought,).
         parts: how many of them, one after the other, make a cell.
     """
 
@@ -84,12 +85,23 @@ class Boxes:
         checks.freeze(self)
 
     @classmethod
-    def of(cls, x: FloatArray, parts: int = 1) -> "Boxes":
-        """Around triangles, of which some parts make a cell each.
+    def of(cls, triangles: Triangles, parts: int = 1) -> "Boxes":
+        """Around triangles that have an area, of which some parts make a cell each.
 
         Args:
-            x: their corners, cell by cell, shape (triangles, 3, 3); unit: length.
+            triangles: cell by cell.
             parts: how many there are in each cell.
+        """
+        boxes, flat = cls.around(triangles.x, parts), triangles.flat
+        return cls(boxes.x, boxes.order[~flat[boxes.order]]) if flat.any() else boxes
+
+    @classmethod
+    def around(cls, x: FloatArray, parts: int = 1) -> "Boxes":
+        """The same of all, which may be lines.
+
+        Args:
+            x: corners, shape (triangles, 3, 3); unit: length.
+            parts: see above.
         """
         middles = x.reshape(-1, 3 * parts, 3).mean(axis=1)
         cells = cKDTree(middles, leafsize=max(1, LEAF // parts)).indices if len(middles) else np.arange(0)
@@ -99,13 +111,13 @@ class Boxes:
     @cached_property
     def _tree(self) -> Any:
         """What the functions in C take, and the arrays on which it rests."""
-        first = np.array([0, len(self.x) // self.parts])
+        first = np.array([0, len(self.order) // self.parts])
         while np.diff(first).max() > max(1, LEAF // self.parts):  # halves, as those of the tree that gave the order
             first = np.append(np.column_stack([first[:-1], (first[:-1] + first[1:]) // 2]), first[-1])
         first, leaves = self.parts * first, len(first) - 1
         x, boxes, discs = self.x[self.order], np.empty((2 * leaves - 1, 2, 3)), np.empty((leaves, 8))
         tree = _functions().ffi.new("tree *")
-        tree.count, tree.leaves = len(self.x), leaves
+        tree.leaves = leaves
         tree.x, tree.order, tree.first = _doubles(x), _integers(self.order), _integers(first)
         tree.boxes, tree.discs = _doubles(boxes), _doubles(discs)
         _functions().lib.fit(tree)
@@ -126,7 +138,7 @@ class Boxes:
         """
         x, limit = np.ascontiguousarray(x), np.ascontiguousarray(limit)
         room = ROOM + 2 * len(x)
-        if not len(x) or not len(self.x):
+        if not len(x) or not len(self.order):
             return NearPlaces.room(0)
         while True:
             places = NearPlaces.room(room)
@@ -153,7 +165,7 @@ class Boxes:
             end: where they end.
         """
         start, end, room = np.ascontiguousarray(start), np.ascontiguousarray(end), ROOM + 2 * len(start)
-        if not len(start) or not len(self.x):
+        if not len(start) or not len(self.order):
             return tuple(np.empty((2, 0), dtype=np.int64))
         pierced, ends = _functions().lib.pierced, (_doubles(start), _doubles(end))
         while True:

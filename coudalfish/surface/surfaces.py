@@ -58,7 +58,7 @@ class Surfaces:
     @cached_property
     def _boxes(self) -> Boxes:
         """Around the triangles."""
-        return Boxes.of(self.triangles.x, self.net.parts)
+        return Boxes.of(self.triangles, self.net.parts)
 
     def alone(self, k: int) -> "Surfaces":
         """One of the connected surfaces."""
@@ -112,7 +112,7 @@ class Surfaces:
         reach = np.broadcast_to(reach, len(start))
         c, d = b + reach.max() * away, a + reach.max() * away
         beyond = Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
-        line, k = Boxes.of(beyond.x).pierced(start, end)
+        line, k = Boxes.of(beyond).pierced(start, end)
         from_edge, height = (
             [np.einsum("li,li->l", x[line] - a[k % len(a)], way) for x in (start, end)]
             for way in (away[k % len(a)], beyond.normals[k])
@@ -152,7 +152,7 @@ class Surfaces:
     def _free(self) -> Boxes:
         """The edges at which surfaces end freely, as triangles without areas."""
         a, b, _ = self._at_ends(self.net.free)
-        return Boxes.of(np.stack([a, b, b], axis=1))
+        return Boxes.around(np.stack([a, b, b], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
