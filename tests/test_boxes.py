@@ -111,7 +111,7 @@ def test_lines_in_the_plane_of_a_triangle_and_through_its_edges():
 
 
 def test_triangles_without_area_have_no_places():
-    x = bent()
+    x = bent().copy()
     x[::3, 2] = 0.5 * (x[::3, 0] + x[::3, 1])
     points = RNG.uniform(0.0, 1.0, (200, 3))
     start, end = points, points + 0.3 * RNG.standard_normal((200, 3))
