@@ -25,6 +25,8 @@ AGREE = 0.5
 """Product of unit normals from which on they agree."""
 WISH = 1e-6
 """What a node in a film counts for the signs of normals, relative to an edge that leads past the film."""
+ROUNDED = 1e-9
+"""Part of that distance that rounding may lack."""
 ALIKE = 0.8
 """Part of the push that all loads of two sheets together would have on them from which on they push one way."""
 
@@ -76,19 +78,23 @@ class Films:
         self._comm, self._load, self._number = comm, load, surfaces.sheets
         self._sheet, self._phi = near.sheet(), near.signed_distance()
         gap, covered, first, distances = _gaps(near), near.covered(), near.normals(), _distances(near)
+        functions = near.functions(continued=True)
         self._films: list[Film] = []
         for k in range(surfaces.sheets):
             here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k))
+            alone, feet = surfaces.alone(k), x[here] - gap[here]
+            reach = (1.0 + ROUNDED) * FILM * sizes[here]
+            here = here[alone.nearest(feet, Sought(np.arange(len(here)), reach)).sheet() >= 0]
             if not len(here):
                 continue
-            other = surfaces.alone(k).nearest(x, Sought(here, distances[here] + FILM * sizes[here]))
+            other = alone.nearest(x, Sought(here, distances[here] + FILM * sizes[here]))
             gaps, distance, found = _gaps(other), other.signed_distance(), other.sheet()
             here = here[found[here] >= 0]
             away = gap[here] - gaps[here]
             close = np.linalg.norm(away, axis=1) <= FILM * sizes[here]
             here, away = here[close], away[close]
             agree = np.einsum("ni,ni->n", first[here], other.normals()[here])
-            both = sp.csr_matrix(sum(one.functions(continued=True)[here] for one in (near, other)))
+            both = sp.csr_matrix(functions[here] + other.functions(continued=True)[here])
             there = covered[here] & other.covered()[here]
             self._films.append(Film(k, here, there, distance[here], agree, away, both))
 

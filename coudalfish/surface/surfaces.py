@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from coudalfish.surface.boxes import CORNER, EDGE, FACE, Boxes, NearPlaces
+from coudalfish.surface.boxes import CORNER, EDGE, Boxes, NearPlaces
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import OPPOSITE, Net
 from coudalfish.surface.triangles import Triangles
@@ -45,15 +45,29 @@ class Surfaces:
         """Where they are."""
         return Triangles((self.net.functions @ self.x)[self.net.triangles])
 
-    @cached_property
-    def normals(self) -> FloatArray:
-        """Unit normals of faces, edges and corners, by the kinds of places, shape (triangles, 7, 3)."""
-        net, faces = self.net, self.triangles.normals
-        repeated = np.broadcast_to(faces[:, None], (len(faces), 3, 3))
-        edges = net.sums(repeated, net.edges)[net.edges]
-        corners = net.sums(self.triangles.angles[..., None] * repeated, net.corners)[net.corners]
-        result = np.concatenate([faces[:, None], edges, corners], axis=1)
-        return np.asarray(result / np.maximum(np.linalg.norm(result, axis=2, keepdims=True), np.finfo(float).tiny))
+    def normals(self, triangle: IntArray, kind: IntArray) -> FloatArray:
+        """Unit normals of faces, edges and corners.
+
+        Args:
+            triangle: of which triangles, shape (n,).
+            kind: which of their places, see :mod:`coudalfish.surface.boxes`, shape (n,).
+
+        Returns:
+            Shape (n, 3), zero where a triangle has no area.
+        """
+        triangles, result = self.triangles, self.triangles.normals[triangle]
+        for first, at in ((EDGE, self.net.edges), (CORNER, self.net.corners)):
+            there = np.flatnonzero((kind >= first) & (kind < first + 3))
+            wanted = at[triangle[there], kind[there] - first]
+            is_wanted = np.zeros(int(at.max(initial=-1)) + 1, dtype=bool)
+            is_wanted[wanted] = True
+            k, corner = np.nonzero(is_wanted[at])
+            values = triangles.normals[k]
+            if first == CORNER:
+                values = triangles.angles(k, corner)[:, None] * values
+            sums = [np.bincount(at[k, corner], column, len(is_wanted))[wanted] for column in values.T]
+            result[there] = np.stack(sums, axis=1)
+        return np.asarray(result / np.maximum(np.linalg.norm(result, axis=1)[:, None], np.finfo(float).tiny))
 
     @cached_property
     def _boxes(self) -> Boxes:
@@ -188,6 +202,11 @@ class NearestOnSurfaces:
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
     @cached_property
+    def _normals(self) -> FloatArray:
+        """Those of the surface at the first places, shape (points in reach, 3)."""
+        return self.surfaces.normals(self.triangle[self._first], self.kind[self._first])
+
+    @cached_property
     def _beyond(self) -> Any:
         """Mask of those behind an edge at which the surface ends, or on it."""
         return self._on(self.surfaces.net.ends)
@@ -208,14 +227,13 @@ class NearestOnSurfaces:
             from the plane that continues it. Unit: length.
         """
         k = self._first
-        normal = self.surfaces.normals[self.triangle[k], self.kind[k]]
-        side, distance = -np.einsum("pi,pi->p", self.gap[k], normal), self.distance[k]
+        side, distance = -np.einsum("pi,pi->p", self.gap[k], self._normals), self.distance[k]
         return self._spread(np.where(self._beyond[k], side, np.where(side < 0.0, -distance, distance)), np.nan)
 
     def normals(self) -> FloatArray:
         """Unit normals there, to where the distance is positive, zero where a point is farther, shape (m, 3)."""
         k, result = self._first, np.zeros((self.count, 3))
-        result[self.point[k]] = -self.surfaces.normals[self.triangle[k], self.kind[k]]
+        result[self.point[k]] = -self._normals
         return result
 
     def sheet(self) -> IntArray:
@@ -237,7 +255,7 @@ class NearestOnSurfaces:
             Shape (m,), no more than the reach, and minus that where a point is farther from the surface.
         """
         k, surfaces = self._first, self.surfaces
-        normal = surfaces.normals[self.triangle[k], FACE]
+        normal = surfaces.triangles.normals[self.triangle[k]]
         along = self.gap[k] - np.einsum("pi,pi->p", self.gap[k], normal)[:, None] * normal
         inner = np.column_stack([1.0 - self.inner[k].sum(axis=1), self.inner[k]])
         feet = np.einsum("pc,pci->pi", inner, surfaces.triangles.x[self.triangle[k]])

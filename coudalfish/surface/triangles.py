@@ -55,12 +55,17 @@ class Triangles:
         """Unit normals, zero where there is no area, shape (triangles, 3)."""
         return self.area_vectors / np.where(self.flat, np.inf, 2.0 * self.areas)[:, None]
 
-    @cached_property
-    def angles(self) -> FloatArray:
-        """At the corners, shape (triangles, 3)."""
-        arms = np.roll(self.x, -1, axis=1) - self.x, np.roll(self.x, 1, axis=1) - self.x
+    def angles(self, k: IntArray, corner: IntArray) -> FloatArray:
+        """At corners, shape (n,).
+
+        Args:
+            k: triangles, shape (n,).
+            corner: one for each.
+        """
+        x = self.x[k, corner]
+        arms = self.x[k, (corner + 1) % 3] - x, self.x[k, (corner + 2) % 3] - x
         across = np.cross(*arms)
-        return np.arctan2(np.sqrt(np.einsum("tci,tci->tc", across, across)), np.einsum("tci,tci->tc", *arms))
+        return np.arctan2(np.sqrt(_dot(across, across)), _dot(*arms))
 
     def in_plane(self, x: FloatArray, k: IntArray) -> FloatArray:
         """Barycentric coordinates of the feet of points in the planes of triangles, of any sign, shape (n, 3).

@@ -261,7 +261,8 @@ class SplineSystem:
 
             indptr, columns, values = self.A.getValuesCSR()
             try:
-                self._factors = splu(sp.csr_matrix((values, columns, indptr), shape=self.A.size).tocsc())
+                A = sp.csr_matrix((values, columns, indptr), shape=self.A.size).tocsc()
+                self._factors = splu(A, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             except RuntimeError as error:
                 raise SolveError(f"tangent: {error}") from None
         return np.asarray(self._factors.solve(load))
