@@ -94,7 +94,8 @@ class MeetsByAverages:
         """
         if sheets.cells.shape[1] != 2:
             raise ValueError(
-                "trace = 'exact': a curve in the plane is required, this surface has trace = 'nodes' alone"
+                "trace = 'exact': a curve in the plane is required, or a flow whose fields differ on both sides of a"
+                " surface, Flow(..., immersed='jump and kink'); otherwise trace = 'nodes'"
             )
         a, b = sheets.cells.T
         chords, sheet = np.linalg.norm(sheets.X[b] - sheets.X[a], axis=1), sheets.sheet
