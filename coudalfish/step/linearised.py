@@ -125,10 +125,10 @@ class Preconditioner:
 
     def __init__(self, at: Linearised) -> None:
         self.at = at
-        H, G = at.H.toarray(), at.G.toarray()
+        G = at.G.toarray()
         moved = at.moved(G)
         self._forces = G - at.beta * at.W[:, None] * moved
-        S = G.T @ (moved + WEAK / at.beta * H) + at.fluid.timeInt.x_factor * self._by_fluid()
+        S = at.G_t @ moved + WEAK / at.beta * (at.G_t @ at.H).toarray() + at.fluid.timeInt.x_factor * self._by_fluid()
         S[at.idle, at.idle] = 1.0
         if not np.isfinite(S).all() or not S.size:
             raise SolveError("the multiplier's system is not finite")

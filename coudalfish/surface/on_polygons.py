@@ -110,12 +110,15 @@ class OnPolygons:
         """
         E = self.penalty[0] if trace is None else trace
         side = np.where(np.einsum("gi,gi->g", self.hats @ n, self.normals) < 0.0, -1.0, 1.0)
-        acting, back, hats_t = sp.diags(side * self.penalty[1]) @ self.hats @ functions, self.means.T, self.hats.T
-        each = [sp.diags(component) @ acting for component in self.normals.T]
-        at_points = self._of_all_ranks(_alternating([(hats_t @ part).tocsr() for part in each]))
-        d, E_t = len(each), E.T
-        beside = [(E_t @ (part - back @ at_points[i::d])).tocsr() for i, part in enumerate(each)]
-        return NormalForces(at_points, _alternating(beside))
+        d, acting = self.normals.shape[1], (self.hats @ functions).tocsr()
+        forces = (side * self.penalty[1])[:, None] * self.normals
+        rows = np.repeat(np.arange(acting.shape[0]), np.diff(acting.indptr))
+        columns = d * acting.indices[:, None] + np.arange(d)  # components beside each other: one product for all
+        entries = (acting.data[:, None] * forces[rows]).ravel(), columns.ravel(), d * acting.indptr
+        each = sp.csr_matrix(entries, shape=(acting.shape[0], d * acting.shape[1]))
+        at_points = self._of_all_ranks((self.hats.T.tocsr() @ each).tocsr())
+        beside = E.T.tocsr() @ (each - self.means.T.tocsr() @ at_points)
+        return NormalForces(_below(at_points, d), _below(beside, d))
 
     def _of_all_ranks(self, share: sp.csr_matrix) -> sp.csr_matrix:
         """Sum of the ranks' shares of a matrix (collective)."""
@@ -127,8 +130,8 @@ class OnPolygons:
         return sp.csr_matrix((data, (row, column)), shape=share.shape)
 
 
-def _alternating(matrices: list[sp.csr_matrix]) -> sp.csr_matrix:
-    """One matrix with the first rows of some, then their second ones, and so on."""
-    d, rows = len(matrices), matrices[0].shape[0]
-    order = (np.arange(rows)[:, None] + rows * np.arange(d)).ravel()
-    return sp.vstack(matrices, format="csr")[order]
+def _below(matrix: sp.csr_matrix, d: int) -> sp.csr_matrix:
+    """Components that are beside each other, in d columns, one below the other, in d rows."""
+    part = matrix.tocoo()
+    entries = part.data, (d * part.row + part.col % d, part.col // d)
+    return sp.csr_matrix(entries, shape=(d * matrix.shape[0], matrix.shape[1] // d))
