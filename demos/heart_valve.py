@@ -73,7 +73,7 @@ class Valve:
         waveform: of the traction at the inlet, the published step or a smooth pulse.
         outlet_resistance: pressure by flow rate at the outlet [dyn s/cm^5].
         dt: time step [s].
-        preset: of the coupling: the published algorithm with its penalty, or this library's for plain fields.
+        preset: published algorithm, or this library's with fields that are plain, jump, or jump and bend at leaflets.
     """
 
     resolution: int = 16
@@ -84,7 +84,7 @@ class Valve:
     waveform: Literal["step", "pulse"] = "step"
     outlet_resistance: float = 0.0
     dt: float = 5e-5
-    preset: Literal["reference", "plain"] = "plain"
+    preset: Literal["reference", "plain", "jump", "sharp"] = "plain"
 
     def __post_init__(self) -> None:
         for name, least in (("resolution", 4), ("leaflet_elements", 0), ("degree", 2)):
@@ -98,9 +98,10 @@ class Valve:
         mesh = aortic_root(MPI.COMM_WORLD, size=self.grading * size, swept_size=size, radius=data.radius)
         inlet = Traction("inlet", lambda x, t: ufl.as_vector([0.0, 0.0, pressure(self.waveform, t, data)]))
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
-        solver = FlowOptions(solver=gmres_ilu(2, rtol=1e-5, rebuild_growth=1.5, fallback=direct()))
+        fields, fill = {"jump": ("jump", 1), "sharp": ("jump and kink", 1)}.get(self.preset, ("plain", 2))
+        solver = FlowOptions(solver=gmres_ilu(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct()))
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
-        flow = Flow(mesh, conditions, **known, immersed="plain", options=solver)
+        flow = Flow(mesh, conditions, **known, immersed=fields, options=solver)
         along = self.leaflet_elements or max(4, round(1.8 / size))
         elements = along, max(1 if self.leaflet_elements else 3, round(0.8 * along))
         geometry = disjoint(*surfaces.trileaflet(radius=data.radius, elements=elements, degrees=(self.degree,) * 2))
@@ -109,8 +110,9 @@ class Valve:
         material = data.leaflet if self.material == "svk" else pericardium
         leaflets = Shell(geometry, material, **structure, quadrature_degree=4)
         published = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2)
-        chosen = published if self.preset == "reference" else CouplingOptions()
-        return flow, leaflets, CouDALFISh(flow, leaflets, chosen if options is None else options)
+        jump = CouplingOptions.converged(fluid_tangent="consistent")
+        presets = {"reference": published, "jump": jump, "sharp": CouplingOptions.sharp()}
+        return flow, leaflets, CouDALFISh(flow, leaflets, options or presets.get(self.preset, CouplingOptions()))
 
 
 @with_results(checkpoint_every=500)
@@ -127,11 +129,8 @@ def main(results: Results, valve: Valve, until: float = 0.2, frames: int = 80) -
     tension = Projected(shell.spline, largest_principal(resultants(shell.spline, shell.material, shell.y).n))
     fields = {"velocity": shell.time.xdot_old, "tension": tension, "multiplier": lambda: fsi.lam}
     look = {"length": "cm", "time": "s", "box": ((-1.15, -1.15, -0.3), (1.15, 1.15, 1.5))}
-    files = [
-        movie(flow, out / "fluid.vtkhdf"),
-        partial(VTUSeries, out / "leaflets", shell.spline, y=shell.y, **fields),
-        leaflets_movie(out / "leaflets.gif", leaflets, tension, TENSION, **look),
-    ]
+    files = [movie(flow, out / "fluid.vtkhdf"), partial(VTUSeries, out / "leaflets", shell.spline, y=shell.y, **fields)]
+    files.append(leaflets_movie(out / "leaflets.gif", leaflets, tension, TENSION, **look))
     history = {"flow_rate": lambda: -rate()["q"], ("pressure_before", "pressure_behind"): lambda: values()[:, 3]}
     run = results.run(fsi, until=until, frames=frames, series=files, history=history | leaflets.columns())
     for _ in run:

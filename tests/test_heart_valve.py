@@ -113,6 +113,16 @@ def test_variants_run(tmp_path, settings):
     assert json.loads((tmp_path / "summary.json").read_text())["monitors"]["piercings"] == 0
 
 
+def test_a_pressure_that_jumps_at_the_leaflets_stays_within_the_load():
+    """A load of 2e4; a pressure that is continuous there goes from -5e4 to 6.7e4 in these steps."""
+    flow, _, fsi = demo.Valve(resolution=6, dt=1e-4, preset="jump").build(demo.Data())
+    for _ in range(3):
+        report = fsi.takeStep()
+        assert (report.attempts, report.passes) == (1, 1)
+    found = flow.time.x.x.array.reshape(-1, 4)[:, 3]
+    assert -0.01 * 2e4 < found.min() < found.max() < 1.01 * 2e4
+
+
 @pytest.mark.parametrize(
     ("settings", "name"),
     [
