@@ -27,7 +27,7 @@ from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.step.linearised import WEAK, Linearised, Preconditioner
 from tigar_x import compat
 from tigar_x.compat import FloatArray
-from tigar_x.fem.linear import SolveError
+from tigar_x.fem.linear import SolveError, keep_orthogonal
 
 RTOL = 1e-8
 """Residual of the linear solver relative to the first one of the step; 1e-6 is too much for closed chambers."""
@@ -77,6 +77,7 @@ class CondensedSystem:
         pc = self._ksp.getPC()
         pc.setType("python")
         pc.setPythonContext(_Triangle(self))
+        keep_orthogonal(self._ksp)
         vectors = (self._flow, self.increment, self._given, self._result, self._rhs, self._x)
         compat.freed_with(self, *vectors, pc, self._ksp, self._A)
         self.iterations = 0

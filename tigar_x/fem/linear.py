@@ -38,6 +38,7 @@ __all__ = [
     "direct",
     "gmres_ilu",
     "gmres_sor",
+    "keep_orthogonal",
     "multigrid",
 ]
 
@@ -82,6 +83,22 @@ def _tolerances_kept(ksp: PETSc.KSP) -> Iterator[None]:
         yield
     finally:
         ksp.setTolerances(rtol=rtol, atol=atol)
+
+
+def keep_orthogonal(ksp: PETSc.KSP) -> None:
+    """Let a GMRES that nothing else configures orthogonalise by the modified method, as those of recipes do.
+
+    The classical one, PETSc's default, loses orthogonality where the residual stays for many iterations, and then it
+    stays for good.
+    """
+    prefix, table = f"tigar_x_{next(_prefixes)}_", PETSc.Options()
+    key = prefix + "ksp_gmres_modifiedgramschmidt"
+    table[key] = 1
+    try:
+        ksp.setOptionsPrefix(prefix)
+        ksp.setFromOptions()
+    finally:
+        table.delValue(key)
 
 
 class PreparedSolver:
