@@ -84,7 +84,7 @@ def test_a_step_that_fails_falls_back_and_the_next_one_goes_on(monkeypatch):
 
 
 def test_solves_go_on_where_their_residual_stays_for_long(monkeypatch):
-    """GMRES that loses orthogonality ends nowhere, as in a steady stream, where there is hardly anything left to solve."""
+    """GMRES that loses orthogonality ends nowhere, as in a steady stream, where hardly anything is left to solve."""
     monkeypatch.setattr(condensed, "RTOL", 1e-14)
     monkeypatch.setattr(condensed, "ROUNDED", 1e-16)
     s = Obstacle(4).build(setting_of("sharp", IN_SPACE))

@@ -224,3 +224,21 @@ def test_velocities_of_the_surface_at_nodes():
     near = np.abs(e.x[:, 2] - 0.433) < 0.2
     expected = e.x @ np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(found.velocity[near], expected[near], atol=1e-12)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("normal", [1.0, -1.0])
+def test_one_node_of_a_wall_that_is_cut_off_joins_the_other_side(normal):
+    """As where an edge of a surface meets a wall between nodes; its pressure would be one of no flow."""
+
+    def across(size):  # the corner at the origin
+        a, b, c = np.full((3, 3), -0.5) + (size + 1.5) * np.eye(3)
+        return surfaces(grid(4, lambda u, v: a + np.outer(u, b - a) + np.outer(v, c - a), turned=normal < 0.0))
+
+    e = enriching(4, kinked=False)
+    small, large = e(across(0.1)), e(across(0.45))
+    assert not small.jump.any()
+    assert not small.cut.cells.size
+    sides = COMM.allgather(set((small.phi < 0.0)[np.isfinite(small.phi)].tolist()))
+    assert len(set.union(*sides)) == 1
+    assert COMM.allreduce(int(large.jump.sum())) > 5
