@@ -90,6 +90,9 @@ def keep_orthogonal(ksp: PETSc.KSP) -> None:
 
     The classical one, PETSc's default, loses orthogonality where the residual stays for many iterations, and then it
     stays for good.
+
+    Args:
+        ksp: the solver, whose method and preconditioner have been set.
     """
     prefix, table = f"tigar_x_{next(_prefixes)}_", PETSc.Options()
     key = prefix + "ksp_gmres_modifiedgramschmidt"
