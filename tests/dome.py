@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import ufl
 from mpi4py import MPI
 
 from coudalfish import CouDALFISh, CouplingOptions
@@ -32,10 +33,14 @@ def sheet(elements, tilted=0.0):
 def dome(
     immersed="jump and kink", options=TIGHT, *, n=3, elements=None, pressure=0.3, solver=None, walls=None, dt=0.05
 ):
-    """Elastic, and clamped along all its edges."""
+    """Elastic, and clamped along all its edges.
+
+    The pressure is a number, or a function of time, UFL.
+    """
     mesh = box(MPI.COMM_WORLD, (0.0,) * 3, (1.0,) * 3, (n,) * 3)
     conditions = [Slip(AROUND)] if walls is None else list(walls)
-    conditions += [Traction("back"), Traction("front", (0.0, 0.0, -pressure))]
+    load = (lambda x, t: ufl.as_vector([0.0, 0.0, -pressure(t)])) if callable(pressure) else (0.0, 0.0, -pressure)
+    conditions += [Traction("back"), Traction("front", load)]
     known = {"rho": 1.0, "mu": 0.1, "dt": dt, "scheme": generalized_alpha(0.5), "immersed": immersed}
     flow = Flow(mesh, conditions, **known, options=FlowOptions(solver=solver or direct()))
     shell = Shell(

@@ -1,8 +1,11 @@
 """Surfaces in flows of tetrahedra whose fields differ on both sides of them, coupled."""
 
+import math
+
 import numpy as np
 import pytest
 import restarted
+import ufl
 from mpi4py import MPI
 from dome import TIGHT, dome
 from space import IN_SPACE, HeldSurface, Obstacle, Pair, Sphere
@@ -12,6 +15,7 @@ from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState
 from coudalfish.step import condensed
 from tigar_x.fem.linear import SolveError
+from tigar_x.run.progress import rss_mib
 from tigar_x.run.restart import Restart
 
 pytestmark = pytest.mark.mpi
@@ -106,6 +110,33 @@ def test_a_run_goes_on_from_a_checkpoint(immersed, tmp_path):
         second.takeStep()
     for one, other in zip(restarted.norms(whole), restarted.norms(second), strict=True):
         assert other == pytest.approx(one, rel=1e-10, abs=1e-13)
+
+
+def swinging(case):
+    """A sheet that a pressure moves up and down through the cells."""
+    loose = CouplingOptions.converged(trace="nodes", fluid_tangent="consistent")
+    fields = {"jump": ("jump", loose), "sharp": ("jump and kink", CouplingOptions.sharp())}[case]
+    return dome(*fields, pressure=lambda t: 3.0 * ufl.sin(2.0 * math.pi * t / 1.37))
+
+
+@pytest.mark.parametrize(
+    ("case", "settled", "steps"),
+    [
+        ("jump", 30, 50),
+        pytest.param("jump", 100, 400, marks=pytest.mark.slow),
+        pytest.param("sharp", 100, 400, marks=pytest.mark.slow),
+    ],
+)
+def test_memory_is_flat_while_other_cells_are_cut_in_every_step(case, settled, steps):
+    """The smallest matrix of the flow has a fifth of a MiB."""
+    s, middle = swinging(case), []
+    for k in range(settled + steps):
+        s.fsi.takeStep()
+        middle.append(s.shell.at((0.5, 0.5)).displacement[2])
+        if k == settled - 1:
+            start = rss_mib()
+    assert np.ptp(middle) > 1.0 / 3.0  # a cell
+    assert rss_mib() - start < 1.5
 
 
 def test_a_closed_sphere_keeps_what_is_in_it():

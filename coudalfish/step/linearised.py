@@ -18,6 +18,8 @@ from tigar_x.fem.linear import SolveError
 
 WEAK = 1e-8
 """Factor eps of the term that keeps multipliers from growing which nothing else determines."""
+NOTHING = 1e-14
+"""Square of a function, summed over the areas at which it acts, relative to the largest, which is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +92,12 @@ class Linearised:
 
     @cached_property
     def idle(self) -> Any:
-        """Mask of the functions that act on nothing."""
-        return self.H_t.multiply(self.H_t) @ self.W == 0.0
+        """Mask of the functions that act on nothing.
+
+        Those that end at a row of points have values of rounding there, which determine nothing either.
+        """
+        size = self.H_t.multiply(self.H_t) @ self.W
+        return size <= NOTHING * size.max(initial=0.0)
 
     def moved(self, forces: FloatArray) -> FloatArray:
         """Velocity with which the shell gives way to forces at the points, or to columns: ``a_s P A_s^-1 P'``."""
