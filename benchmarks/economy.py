@@ -1,6 +1,6 @@
 """What a scene pays for: modules it imports, forms it compiles, matrices and functions it makes.
 
-`python benchmarks/economy.py` runs six small scenes, each in a process and with a cache of compiled forms of its own,
+`python benchmarks/economy.py` runs eight small scenes, each in a process and with a cache of compiled forms of its own,
 and prints a table. Numbers of modules, forms, matrices and functions are the same on any machine; seconds are not.
 """
 
@@ -82,7 +82,16 @@ def touching_shell() -> Any:
 
 
 def coupled() -> Any:
-    """A flexible flap in a channel: README's run."""
+    """A flexible flap in a channel, with plain fields."""
+    return _flap("plain")
+
+
+def sharp() -> Any:
+    """A flexible flap in a channel, with fields that know its sides: README's run."""
+    return _flap("jump and kink")
+
+
+def _flap(immersed: Any) -> Any:
     import ufl
     from mpi4py import MPI
 
@@ -96,10 +105,28 @@ def coupled() -> Any:
 
     channel = box(MPI.COMM_WORLD, (0, 0), (3, 1), (24, 8))
     walls, pinned = WeakVelocity(("left", "right", "bottom", "top"), inflow), FlowOptions(pressure="pin", pin_at=(3, 0))
-    flow = Flow(channel, [walls], rho=1.0, mu=0.05, dt=0.01, immersed="plain", options=pinned)
+    flow = Flow(channel, [walls], rho=1.0, mu=0.05, dt=0.01, immersed=immersed, options=pinned)
     line = shapes.line((1, 0.005), (1, 0.6), elements=12, degree=2)
     flap = Shell(line, StVenantKirchhoff(1e4, 0.4, 0.03), density=1.0, clamped=("u0",))
     fsi = CouDALFISh(flow, flap)
+    fsi.takeStep()
+    return fsi
+
+
+def coupled_in_space() -> Any:
+    """A flexible plate in a stream of tetrahedra, with plain fields."""
+    from mpi4py import MPI
+
+    from coudalfish import CouDALFISh
+    from shnapr import Shell, StVenantKirchhoff
+    from tigar_x.geometry import shapes
+    from varmint import Flow, Slip, Traction, Velocity, box
+
+    channel = box(MPI.COMM_WORLD, (0, 0, 0), (2, 1, 1), (8, 4, 4))
+    sides = [Velocity("left", (1, 0, 0)), Velocity("bottom"), Slip(("top", "back", "front")), Traction("right")]
+    flow = Flow(channel, sides, rho=1.0, mu=0.05, dt=0.01, immersed="plain")
+    plate = shapes.parallelogram((0.7, 0, 0.2), (0, 0.6, 0), (0, 0, 0.6), elements=(4, 4), degrees=(2, 2))
+    fsi = CouDALFISh(flow, Shell(plate, StVenantKirchhoff(1e4, 0.4, 0.03), density=1.0, clamped=("u0",)))
     fsi.takeStep()
     return fsi
 
@@ -115,7 +142,17 @@ def beam_in_flow() -> Any:
 
 
 SCENES: dict[str, Callable[[], Any]] = {
-    scene.__name__: scene for scene in (plane_flow, steady_cavity, static_shell, touching_shell, coupled, beam_in_flow)
+    scene.__name__: scene
+    for scene in (
+        plane_flow,
+        steady_cavity,
+        static_shell,
+        touching_shell,
+        coupled,
+        sharp,
+        coupled_in_space,
+        beam_in_flow,
+    )
 }
 
 

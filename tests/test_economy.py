@@ -10,6 +10,22 @@ SPLINES = ("shnapr", "coudalfish", "tigar_x.geometry", "tigar_x.splines")
 FLOWS = ("varmint", "coudalfish")
 OUTPUT = ("tigar_x.run",)
 CONTACT = ("shnapr.contact",)
+SPACE = tuple(
+    f"coudalfish.surface.{name}" for name in ("films", "in_space", "net", "on_polygons", "surfaces", "triangles")
+)
+"""For surfaces that divide tetrahedra."""
+SIDES = (
+    *SPACE,
+    "coudalfish.sides.sided_fluid",
+    *(f"coudalfish.surface.{name}" for name in ("cut_cells", "divided_mesh", "enriched", "in_plane", "interface")),
+    "tigar_x.fem.divided",
+    "tigar_x.fem.doubled",
+    "varmint.flow.sides",
+    "varmint.forms.sides",
+)
+"""For fields that know the sides of a surface."""
+CONVERGED = ("coudalfish.step.condensed", "coudalfish.step.converged", "coudalfish.surface.hats")
+ONE_MATERIAL = ("shnapr.hyperelastic", "shnapr.mixed", "shnapr.planes", "tigar_x.geometry.surfaces")
 
 # What a scene has not: modules, and features of forms by the fields that bring them.
 UNUSED = {
@@ -17,16 +33,25 @@ UNUSED = {
     "steady_cavity": (*SPLINES, *OUTPUT),
     "static_shell": (*FLOWS, *OUTPUT, *CONTACT, "tigar_x.splines.saved", "tigar_x.geometry.files"),
     "touching_shell": (*FLOWS, *OUTPUT),
-    "coupled": (*OUTPUT, *CONTACT, "shnapr.hyperelastic", "shnapr.mixed", "shnapr.planes", "tigar_x.geometry.surfaces"),
+    "coupled": (*OUTPUT, *CONTACT, *ONE_MATERIAL, *SIDES, *CONVERGED),
+    "sharp": (*OUTPUT, *CONTACT, *ONE_MATERIAL, *SPACE),
+    "coupled_in_space": (*OUTPUT, *CONTACT, *ONE_MATERIAL, *SIDES, *CONVERGED),
     "beam_in_flow": SPLINES,
 }
-FIELDS = {"mesh_displacement": "a mesh that moves", "scale_m": "an immersed surface", "_old": "time"}
+FIELDS = {
+    "mesh_displacement": "a mesh that moves",
+    "scale_m": "an immersed surface",
+    "negative": "sides of it",
+    "_old": "time",
+}
 FEATURES = {
     "plane_flow": {"time"},
     "steady_cavity": set(),
     "static_shell": set(),
     "touching_shell": set(),
     "coupled": {"an immersed surface", "time"},
+    "sharp": {"sides of it", "time"},
+    "coupled_in_space": {"an immersed surface", "time"},
     "beam_in_flow": {"a mesh that moves", "time"},
 }
 HEAVY = {"plane_flow": set(), "steady_cavity": set(), "beam_in_flow": {"gmsh", "scipy.spatial"}}
@@ -37,6 +62,8 @@ MOST = {  # forms and functions
     "static_shell": (3, 2),
     "touching_shell": (4, 2),
     "coupled": (8, 12),
+    "sharp": (10, 26),
+    "coupled_in_space": (8, 20),
     "beam_in_flow": (6, 16),
 }
 
@@ -65,7 +92,7 @@ def within(modules, parts):
 
 def test_every_scene_is_measured(found):
     assert set(found) == set(UNUSED) == set(FEATURES) == set(MOST)
-    assert len(found) == 6
+    assert len(found) == 8
 
 
 @pytest.mark.parametrize("name", UNUSED)
@@ -94,4 +121,5 @@ def test_the_check_sees_what_is_imported(found):
     modules = found["touching_shell"]["modules"]
     assert within(modules, CONTACT)
     assert within(modules, SPLINES)
+    assert set(within(found["sharp"]["modules"], SIDES)) == set(SIDES) - set(SPACE)
     assert not within(["shnapr.contacts", "tigar_x.runs"], (*CONTACT, *OUTPUT))

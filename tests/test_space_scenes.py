@@ -123,12 +123,12 @@ def test_a_sphere_keeps_its_volume_and_the_pressure_inside_with_a_converged_mult
 
 @pytest.mark.mpi
 def test_a_stream_bends_a_fence():
-    found = Fence(4, steps=20).run(CONVERGED)
+    found = Fence(4, steps=15).run(CONVERGED)
     assert 0.1 < found.figures["tip"] < 0.5
     assert found.figures["drag"] > 0.2
     assert found.figures["leak"] < 0.02
     assert found.figures["wobble"] < 0.05
-    jump = Fence(4, steps=20).run(JUMP)
+    jump = Fence(4, steps=15).run(JUMP)
     assert jump.figures["tip"] == pytest.approx(found.figures["tip"], rel=0.3)
     assert jump.passes.mean() < 1.2
 
@@ -144,13 +144,12 @@ def test_more_flows_through_a_wider_slit_and_nothing_through_the_plates():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("layers", [1, 2])
-def test_with_a_jump_most_of_the_flow_passes_a_slit_of_a_cell_and_more_and_little_a_narrower_one(layers):
-    narrow, one, two = (
-        Slit(gap, n=8, layers=layers, steady=1e-2).run(JUMP).figures["flow"] for gap in (0.25, 1.0, 2.0)
-    )
+@pytest.mark.parametrize(("layers", "gaps"), [(1, (1.0, 2.0)), (2, (1.0,))])
+def test_with_a_jump_most_of_the_flow_passes_a_slit_of_a_cell_and_more_and_little_a_narrower_one(layers, gaps):
+    narrow, *wide = (Slit(gap, n=8, layers=layers, steady=1e-2).run(JUMP).figures["flow"] for gap in (0.25, *gaps))
     assert narrow < 0.3
-    assert 0.45 < one < two < 1.0
+    assert 0.45 < wide[0] <= wide[-1] < 1.0
+    assert len(set(wide)) == len(gaps)
 
 
 @pytest.mark.mpi
@@ -173,6 +172,7 @@ def test_a_function_with_values_of_rounding_at_the_points_inside_is_not_solved_f
     assert np.abs(scene.fsi.lam).max() < 1e3  # functions with a corner inside have hundreds
 
 
+@pytest.mark.slow
 def test_flow_through_a_hole_in_a_mesh_that_fits_is_that_of_sampson_and_slower_with_inertia():
     slow, fast = (fitted_flow(Hole(4.0, reynolds=re, length=0.3), around=0.5)["flow"] for re in (0.05, 20.0))
     assert slow == pytest.approx(0.9, abs=0.12)  # the plate is not thin, and the mesh is coarse
@@ -184,7 +184,7 @@ def test_flow_through_a_hole_in_a_mesh_that_fits_is_that_of_sampson_and_slower_w
 
 @pytest.mark.mpi
 def test_two_plates_in_one_cell_hold_a_pressure_and_contact_holds_them_apart():
-    pair = Pair(0.5, n=4, steps=10)
+    pair = Pair(0.5, n=4, steps=5)
     held = pair.run(CONVERGED)
     assert abs(held.figures["force"]) < 0.05
     assert abs(held.figures["leak"]) < 1e-6
@@ -206,6 +206,7 @@ def test_a_sphere_in_a_stream_has_about_the_drag_of_a_mesh_that_fits_it():
     assert found.figures["drag"] == pytest.approx(3.66, rel=0.5)
 
 
+@pytest.mark.slow
 def test_the_drag_of_a_sphere_in_meshes_that_fit_goes_to_its_limit():
     assert fitted_drag(0.5)["drag"] == pytest.approx(3.664, rel=0.02)
 
