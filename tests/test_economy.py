@@ -11,7 +11,8 @@ FLOWS = ("varmint", "coudalfish")
 OUTPUT = ("tigar_x.run",)
 CONTACT = ("shnapr.contact",)
 SPACE = tuple(
-    f"coudalfish.surface.{name}" for name in ("films", "in_space", "net", "on_polygons", "surfaces", "triangles")
+    f"coudalfish.surface.{name}"
+    for name in ("films", "in_space", "net", "on_polygons", "surfaces", "triangles", "boxes")
 )
 """For surfaces that divide tetrahedra."""
 SIDES = (
