@@ -71,8 +71,8 @@ class ThinFilms(Protocol):
         """From the sheets that carry the jump of the pressure."""
 
 
-FindFilms = Callable[[FloatArray, Any, FloatArray], ThinFilms]
-"""From nodes, their nearest places and the sizes of the cells around them."""
+FindFilms = Callable[[FloatArray, Any, FloatArray, int], ThinFilms]
+"""From nodes, their nearest places, the sizes of the cells around them, and how many of them are this rank's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class Enriching:
         self._volumes = np.abs(np.linalg.det(arms))  # but for a factor
         self._set_sizes(space)
         self._set_walls(space)
-        self.owned = compat.owned_cells(space.mesh)
+        self.owned, self._owned_nodes = compat.owned_cells(space.mesh), space.dofmap.index_map.size_local
         nodes = self.vertices[: self.owned]
         self._support = self._total(nodes, self._volumes[: self.owned, None])
 
@@ -269,7 +269,7 @@ class Enriching:
         nearest = near.sheet()
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
-        thin = None if films is None else films(self.x, near, self._of_nodes)
+        thin = None if films is None else films(self.x, near, self._of_nodes, self._owned_nodes)
         if thin is not None:
             between[between] = thin.past(edges[between], nearest[edges[between]])
         edges, several = np.unique(np.sort(edges[between], axis=1), axis=0, return_counts=True)

@@ -64,6 +64,7 @@ class Films:
         x: nodes, shape (m, 3); unit: length.
         near: their nearest places.
         sizes: of the cells around the nodes, shape (m,); unit: length.
+        owned: number of the nodes that are this rank's, which are the first: sums are over those of all ranks.
     """
 
     def __init__(
@@ -74,8 +75,9 @@ class Films:
         x: FloatArray,
         near: NearestOnSurfaces,
         sizes: FloatArray,
+        owned: int,
     ) -> None:
-        self._comm, self._load, self._number = comm, load, surfaces.sheets
+        self._comm, self._load, self._number, self._owned = comm, load, surfaces.sheets, owned
         self._sheet, self._phi = near.sheet(), near.signed_distance()
         gap, covered, first, distances = _gaps(near), near.covered(), near.normals(), _distances(near)
         functions = near.functions(continued=True)
@@ -124,7 +126,8 @@ class Films:
         """
         result = np.zeros((number, number))
         for film in self._films:
-            result[:, film.other] += np.bincount(self._sheet[film.nodes], WISH * film.covered * film.agree, number)
+            wish = WISH * film.agree * (film.covered & (film.nodes < self._owned))
+            result[:, film.other] += np.bincount(self._sheet[film.nodes], wish, number)
         return result
 
     def signed_distance(self, turned: FloatArray) -> FloatArray:
@@ -168,7 +171,7 @@ class Films:
         """
         sums = np.zeros((2, self._number, self._number))
         for film in self._films:
-            above = self._above(film)
+            above = self._above(film) & (film.nodes < self._owned)
             here, work = self._sheet[film.nodes[above]], np.einsum("ni,ni->n", (film.both @ load), film.away)[above]
             for total, values in zip(sums, (work, np.abs(work)), strict=True):
                 total[:, film.other] += np.bincount(here, values, self._number)
