@@ -109,8 +109,7 @@ class Step:
         self.dt = fluid.timeInt.step_size
         self.block = "coupling"
         self.acceptance = Acceptance(self.options)
-        self.passes, self.linear_iterations = 0, 0
-        self.spacing, self.inactive = 0.0, 0
+        self.passes, self.linear_iterations, self.inactive, self.spacing = 0, 0, 0, 0.0
 
     # -- set-up -------------------------------------------------------------------------------------------------------
 
@@ -292,8 +291,8 @@ class Step:
         """See :func:`residual_floors`; before the first solve those of the step before are good enough."""
         if self.passes == 0 and self.floors is not None:
             return self.floors
-        pushed = np.abs(exchange.tractions(self.multiplier.acting, self.n))
-        part = pushed + self.beta * (np.abs(self.u) + np.abs(self.y_dot))
+        pushed, moved = exchange.tractions(self.multiplier.acting, self.n), np.abs(self.u) + np.abs(self.y_dot)
+        part = np.abs(pushed) + self.beta * moved
         terms, stiffness = self.W[:, None] * part, self.W * self.beta * self.shell.timeInt.xdot_factor
         state, atol = (self.fluid, self.shell, self.trace, terms, stiffness), self.options.block_atol
         self.floors = residual_floors(*state, atol=atol, solved=self.passes > 0)
@@ -320,8 +319,7 @@ class Step:
     def _contact(self) -> ContactReport | None:
         if self.shell.contact is None:
             return None
-        closing = self.shell.closing_ratio()
-        found = self.shell.touching
+        closing, found = self.shell.closing_ratio(), self.shell.touching
         if found is None:
             return ContactReport(0, 0.0, 0.0, math.inf, closing)
         return ContactReport(found.pairs, found.load, found.energy, found.distance, closing)
