@@ -154,6 +154,14 @@ def test_of_two_tilted_sheets_with_a_film_between_one_carries_the_jump(apart):
 
 
 @pytest.mark.mpi
+def test_two_sheets_in_one_place_carry_half_of_the_jump_each():
+    """Their functions are the same: without a shift the multiplier's preconditioner is singular, and speeds are 7."""
+    found = Pair(1e-6, n=4, steps=1).run(setting_of("jump", IN_SPACE))
+    assert found.figures["highest"] < 1e-4
+    assert found.figures["force"] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.mpi
 def test_two_sheets_that_a_sudden_pressure_presses_together_do_not_bounce():
     """Nothing tells before the first step which of them carries it: by the wrong one they are a tenth apart at once."""
     pair = Pair(0.5, n=4, touching=True, steps=3)

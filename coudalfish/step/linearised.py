@@ -1,5 +1,6 @@
 """The parts of the linear system of fluid, shell and multiplier at one state, and what its multiplier is solved by."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,10 @@ from coudalfish.surface.trace import TraceMatrix
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
 
+DEPENDENT = 1e-13
+"""Pivot relative to the largest one below which functions depend on each other, as those of two sheets in one place."""
+SHIFT = 1e-10
+"""What is added to their matrix then, likewise."""
 WEAK = 1e-8
 """Factor eps of the term that keeps multipliers from growing which nothing else determines."""
 NOTHING = 1e-14
@@ -135,10 +140,10 @@ class Preconditioner:
         moved = at.moved(G)
         self._forces = G - at.beta * at.W[:, None] * moved
         S = at.G_t @ moved + WEAK / at.beta * (at.G_t @ at.H).toarray() + at.fluid.timeInt.x_factor * self._by_fluid()
-        S[at.idle, at.idle] = 1.0
+        S[at.idle, at.idle] = S.diagonal().max(initial=0.0) or 1.0
         if not np.isfinite(S).all() or not S.size:
             raise SolveError("the multiplier's system is not finite")
-        self._factors = la.lu_factor(S, check_finite=False)
+        self._factors = _factors(S)
 
     def _by_fluid(self) -> FloatArray:
         """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
@@ -178,3 +183,14 @@ class Preconditioner:
         """Increment of the multiplier's coefficients, and its forces at the points."""
         b = -la.lu_solve(self._factors, r, check_finite=False) / self.at.beta
         return b, self._forces @ b
+
+
+def _factors(S: FloatArray) -> Any:
+    """Factors of a matrix whose rows may depend on each other."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", la.LinAlgWarning)
+        factors = la.lu_factor(S, check_finite=False)
+    pivots = np.abs(factors[0].diagonal())
+    if pivots.min() > DEPENDENT * pivots.max():
+        return factors
+    return la.lu_factor(S + SHIFT * pivots.max() * np.eye(len(S)), check_finite=False)
