@@ -9,12 +9,22 @@ so that u is continuous and solenoidal, equals the membrane's velocity on it, an
 Body forces on both sides and a load on the membrane make this an exact solution of the coupled problem.
 
 In three dimensions the square is extruded by H with one layer of cells and slip on its top and bottom, as in the
-source. All norms are per unit depth. The flow's equations are the script's: any that solve Navier and Stokes' do.
+source, and norms are per unit depth. Or the membrane is curved and moves differently everywhere, across a cube
+(:data:`CURVED`): with G(x_2, x_3, t) its place along x_1, dG/dt = V Y(x_2, x_3) and a plane field (w_2, w_3) without
+divergence, the flow on the right is
+
+    u = V Y e_1 + S w,   S = V (x_1 - G)/L,   w = (w_2 dG/dx_2 + w_3 dG/dx_3, w_2, w_3),
+
+which is the above where G = L/2 + V t Y(x_2) and (w_2, w_3) = (1, 0). w is tangential to surfaces of equal S, so that
+the traction that jumps at the membrane is DP n + mu |grad S| w.
+
+The flow's equations are the script's: any that solve Navier and Stokes' do.
 
 Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
 section 5.3.1, doi:10.1016/j.camwa.2020.01.023.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -30,6 +40,7 @@ from shnapr.svk import StVenantKirchhoff
 from tigar_x import checks, compat
 from tigar_x.fem.linear import direct
 from tigar_x.geometry import shapes
+from tigar_x.geometry.patch import Patch
 from tigar_x.run.script import constants
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -62,13 +73,74 @@ class ProblemData:
     prestress: float = 10.0
     rho_infinity: float = 0.0
 
-
-def unit(i: int, d: int) -> Any:
-    """Unit vector e_(i+1) in d dimensions."""
-    return ufl.as_vector([float(i == j) for j in range(d)])
+    rise: float = 0.2
 
 
-def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None) -> SimpleNamespace:
+@dataclass(frozen=True)
+class Shape:
+    """How the membrane lies, moves and is passed along; functions of the positions across the first axis and the data.
+
+    Attributes:
+        rest: x_1 of the membrane at rest.
+        profile: displacement along x_1 over V t, zero at the boundary.
+        along: components (w_2, w_3) of what the fluid does along it on its right side; no divergence.
+        curved: whether rest and profile vary in both directions across, in a cube.
+    """
+
+    rest: Callable[[Sequence[Any], Any], Any]
+    profile: Callable[[Sequence[Any], Any], Any]
+    along: Callable[[Sequence[Any], Any], Sequence[Any]]
+    curved: bool
+
+
+def _hump(s: Any, c: Any) -> Any:
+    return c.L * s - s**2
+
+
+EXTRUDED = Shape(lambda s, c: c.L / 2, lambda s, c: _hump(s[0], c), lambda s, c: (1.0, 0.0), False)
+"""The published membrane, straight at rest."""
+CURVED = Shape(
+    lambda s, c: c.L / 2 - c.rise * ((s[0] - 0.5 * c.L) ** 2 + 0.6 * (s[1] - 0.45 * c.L) ** 2) / c.L,
+    lambda s, c: 4 * _hump(s[0], c) * _hump(s[1], c) * (1 + (s[0] - s[1] / 2) / (2 * c.L)) / c.L**2,
+    lambda s, c: (1 - s[1] / (2 * c.L), 0.3 + 0.6 * s[0] / c.L),
+    True,
+)
+"""A dome without symmetry; neither its motion nor, with a curved surface at rest, its load is a spline."""
+
+
+def course(x: Any, t: Any, c: Any, shape: Shape) -> SimpleNamespace:
+    """Where the membrane is, at the positions across the first axis of points.
+
+    Args:
+        x: positions, of 2 or 3 components.
+        t: time.
+        c: the problem's data, as numbers or Constants.
+        shape: of the membrane.
+
+    Returns:
+        ``G`` and its slopes ``dG``, the same at rest, ``G_0`` and ``dG_0``, ``speed`` dG/dt and its slopes ``dspeed``,
+        ``along`` (w_2, w_3), and the coordinates ``s`` as variables, for more derivatives.
+    """
+    s = [ufl.variable(x[i]) for i in range(1, len(x))]
+
+    def slopes(f: Any) -> list[Any]:
+        return [ufl.diff(f, s_i) for s_i in s]
+
+    G_0, speed = ufl.as_ufl(shape.rest(s, c)), c.V * shape.profile(s, c)
+    G, along = G_0 + t * speed, shape.along(s, c)[: len(s)]
+    known = {"G": G, "dG": slopes(G), "G_0": G_0, "dG_0": slopes(G_0), "speed": speed, "dspeed": slopes(speed)}
+    return SimpleNamespace(**known, along=along, s=s)
+
+
+def _vector(first: Any, others: Sequence[Any]) -> Any:
+    return ufl.as_vector([first, *others])
+
+
+def _times(one: Sequence[Any], other: Sequence[Any]) -> Any:
+    return sum(a * b for a, b in zip(one, other, strict=True))
+
+
+def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None, shape: Shape = EXTRUDED) -> SimpleNamespace:
     """The flow at a time, in both parts.
 
     Args:
@@ -76,18 +148,19 @@ def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None) -> SimpleNamespace:
         t: time.
         c: the problem's data, as numbers or Constants.
         left: UFL condition that decides which part it is; None: the position.
+        shape: of the membrane.
 
     Returns:
         Velocity ``u``, pressure ``p`` and body force per mass ``f``, each chosen by side, and ``grad_u`` taken side by
         side, without the jump.
     """
-    Y, dY = c.L * x[1] - x[1] ** 2, c.L - 2 * x[1]
-    e_1, e_2 = unit(0, len(x)), unit(1, len(x))
-    S = c.V * (x[0] - c.L / 2 - c.V * t * Y) / c.L
-    u_left = c.V * Y * e_1
-    u_right = u_left + S * (c.V * t * dY * e_1 + e_2)
-    rate_right = c.V**2 * (((x[0] - c.L / 2) * dY - 2 * c.V * t * Y * dY) * e_1 - Y * e_2) / c.L
-    left = ufl.lt(x[0], c.L / 2 + c.V * t * Y) if left is None else left
+    m, none = course(x, t, c, shape), [0.0] * (len(x) - 1)
+    S = c.V * (x[0] - m.G) / c.L
+    w, w_rate = _vector(_times(m.along, m.dG), m.along), _vector(_times(m.along, m.dspeed), none)
+    u_left = _vector(m.speed, none)
+    u_right = u_left + S * w
+    rate_right = S * w_rate - c.V * m.speed / c.L * w
+    left = ufl.lt(x[0], m.G) if left is None else left
 
     def force(u: Any, rate: Any) -> Any:
         return rate + ufl.grad(u) * u - ufl.div(2 * c.mu / c.rho * ufl.sym(ufl.grad(u)))
@@ -101,7 +174,7 @@ def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None) -> SimpleNamespace:
     )
 
 
-def is_left(x: Any, t: Any, c: Any, s: Any) -> Any:
+def is_left(x: Any, t: Any, c: Any, s: Any, shape: Shape = EXTRUDED) -> Any:
     """UFL condition of the left part on a side of the membrane, whose left one is 1.
 
     Args:
@@ -109,32 +182,41 @@ def is_left(x: Any, t: Any, c: Any, s: Any) -> Any:
         t: time.
         c: the problem's data, as numbers or Constants.
         s: side, -1 or 1; where it is 0 the position decides.
+        shape: of the membrane.
     """
-    by_position = ufl.conditional(ufl.lt(x[0], c.L / 2 + c.V * t * (c.L * x[1] - x[1] ** 2)), 1.0, -1.0)
+    by_position = ufl.conditional(ufl.lt(x[0], course(x, t, c, shape).G), 1.0, -1.0)
     return ufl.gt(ufl.conditional(ufl.eq(s, 0.0), by_position, s), 0.0)
 
 
-def exact_displacement(X: Any, t: Any, c: Any) -> Any:
-    """Displacement of the membrane at reference positions X and a time; c as in :func:`exact_flow`."""
-    return c.V * t * (c.L * X[1] - X[1] ** 2) * unit(0, len(X))
+def exact_displacement(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
+    """Displacement of the membrane at reference positions X and a time; c and shape as in :func:`exact_flow`."""
+    return t * _vector(course(X, t, c, shape).speed, [0.0] * (len(X) - 1))
 
 
-def membrane_load(X: Any, t: Any, c: Any) -> Any:
+def membrane_load(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
     """Force per reference area that closes the membrane's balance: inertia is zero, stresses and traction are not.
 
     Args:
         X: reference position on the membrane.
         t: time.
         c: the problem's data, as numbers or Constants.
+        shape: of the membrane; parameters of it are the positions across the first axis.
     """
-    dY, ddY, a = c.L - 2 * X[1], -2.0, c.V * t
-    g = 1 + (a * dY) ** 2
-    K = c.youngs_modulus * c.thickness / (1 - c.poisson_ratio**2)
-    shear = c.mu * g * c.V / c.L
-    e_1, e_2 = unit(0, len(X)), unit(1, len(X))
-    traction = c.DP * (e_1 - a * dY * e_2) + shear * (a * dY * e_1 + e_2)
-    elastic = (1.5 * K * a**3 * dY**2 + c.prestress * a) * ddY * e_1 + K * a**2 * dY * ddY * e_2
-    return -elastic - traction
+    m = course(X, t, c, shape)
+    dG, dG_0, n = ufl.as_vector(m.dG), ufl.as_vector(m.dG_0), len(m.s)
+    metric = ufl.Identity(n) + ufl.outer(dG_0, dG_0)
+    strain, inverse, J = (ufl.outer(dG, dG) - ufl.outer(dG_0, dG_0)) / 2, ufl.inv(metric), ufl.sqrt(ufl.det(metric))
+    stiffness, nu = c.youngs_modulus * c.thickness / (1 - c.poisson_ratio**2), c.poisson_ratio
+    raised = inverse * strain
+    forces = c.prestress * inverse + stiffness * (nu * ufl.tr(raised) * inverse + (1 - nu) * raised * inverse)
+    towards = [[J * forces[i, j] for i in range(n)] for j in range(n)]
+    elastic = [
+        sum(ufl.diff(_times(row, factors), s_j) for row, s_j in zip(towards, m.s, strict=True))
+        for factors in (m.dG, *([float(i == k) for i in range(n)] for k in range(n)))
+    ]
+    shear = c.mu * c.V / c.L * (1 + ufl.dot(dG, dG))
+    traction = c.DP * _vector(1.0, [-g for g in m.dG]) + shear * _vector(_times(m.along, m.dG), m.along)
+    return -(ufl.as_vector(elastic) + traction) / J
 
 
 def cells_per_side(level: int) -> int:
@@ -142,82 +224,107 @@ def cells_per_side(level: int) -> int:
     return 3 * 2 ** checks.whole("level", level, 0)
 
 
-def fluid_box(data: ProblemData, d: int, level: int) -> tuple[list[float], list[float], list[int]]:
+def fluid_box(
+    data: ProblemData, d: int, level: int, shape: Shape = EXTRUDED
+) -> tuple[list[float], list[float], list[int]]:
     """Size of the fluid's mesh at a refinement level.
 
     Args:
         data: of the problem.
         d: dimension of space, 2 or 3 (one layer).
         level: refinement level.
+        shape: of the membrane; around a curved one the mesh is a cube.
 
     Returns:
         Lowest corner, highest corner, and numbers of cells along the axes.
     """
     N, slack = cells_per_side(level), 3e-8 * data.L  # the membrane's ends lie on the boundary: they have to be inside
-    return [-slack] * d, [data.L + slack, data.L + slack, data.H + slack][:d], [N, N, 1][:d]
+    sizes, cells = ([data.L] * 3, [N] * 3) if shape.curved else ([data.L, data.L, data.H], [N, N, 1])
+    return [-slack] * d, [size + slack for size in sizes[:d]], cells[:d]
 
 
-def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = False) -> Shell:
-    """The membrane: linear B-splines, fixed ends, no bending; nothing moves along the direction of an extrusion.
+def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = False, shape: Shape = EXTRUDED) -> Shell:
+    """The membrane: fixed ends, no bending; of linear B-splines, which do not move along the direction of an extrusion.
+
+    A curved one is made of quadratic B-splines, moves in all directions, and has the same prestress in both.
 
     Args:
         data: of the problem.
         d: dimension of space.
-        elements: of the line.
+        elements: of the line; of a curved one along each side.
         projected: whether the velocity at t = 0 is projected, as in the published code, or interpolated; a projection
             leaves a small one at the ends, which do not move.
+        shape: of the membrane.
 
     Returns:
         A shell that gets its clock from the flow.
     """
-    corner = (data.L / 2, 0.0, 0.0)
-    if d == 2:
-        patch = shapes.line(corner[:2], (data.L / 2, data.L), elements=elements)
-    else:
-        sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
-        patch = shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
-    along = np.arange(2, d * patch.basis.n, 3) if d == 3 else np.arange(0)
-    zero_dofs = np.concatenate([patch.side_dofs("u0"), patch.side_dofs("u1"), along])
+    patch = _patch(data, d, elements, shape)
+    held = patch.open_sides if shape.curved else ("u0", "u1")
+    along = np.arange(2, d * patch.basis.n, 3) if d == 3 and not shape.curved else np.arange(0)
+    zero_dofs = np.concatenate([*(patch.side_dofs(side) for side in held), along])
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
     c = constants(spline.mesh, data)
-    prestress = (c.prestress,) if d == 2 else (c.prestress, 0.0, 0.0)
+    prestress = (c.prestress, c.prestress if shape.curved else 0.0, 0.0)
     shell = Shell(
         spline,
-        StVenantKirchhoff(c.youngs_modulus, c.poisson_ratio, c.thickness, prestress=prestress, bending=False),
+        StVenantKirchhoff(
+            c.youngs_modulus,
+            c.poisson_ratio,
+            c.thickness,
+            prestress=prestress[:1] if d == 2 else prestress,
+            bending=False,
+        ),
         density=c.rho_s,
-        loads=[DeadLoad(lambda X, t: membrane_load(X, t, c))],
+        loads=[DeadLoad(lambda X, t: membrane_load(X, t, c, shape))],
         solver=direct("petsc"),
     )
-    s, speed = patch.points[:, 1], exact_displacement(spline.F, 1.0, c)
-    at_points = np.outer(data.V * (data.L * s - s**2), np.eye(d)[0])
-    shell.start(velocity=spline.free(d).coefficients(spline.project(speed)) if projected else at_points)
+    speed = data.V * shape.profile(patch.evaluate(patch.basis.greville).T[1:], data)
+    at_points = patch.basis.interpolate(np.outer(speed, np.eye(d)[0]))
+    exact = exact_displacement(spline.F, 1.0, c, shape)
+    shell.start(velocity=spline.free(d).coefficients(spline.project(exact)) if projected else at_points)
     return shell
 
 
-def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int) -> dict[str, float]:
-    """Norms of the errors per unit depth; the gradient is compared side by side.
+def _patch(data: ProblemData, d: int, elements: int, shape: Shape) -> Patch:
+    corner = (data.L / 2, 0.0, 0.0)
+    if d == 2:
+        return shapes.line(corner[:2], (data.L / 2, data.L), elements=elements)
+    if not shape.curved:
+        sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
+        return shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
+
+    def position(u: Any, v: Any) -> list[Any]:
+        return [shape.rest((data.L * u, data.L * v), data), data.L * u, data.L * v]
+
+    return shapes.interpolated(position, shapes.uniform_bases((2, 2), (elements, elements), 2))
+
+
+def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int, shape: Shape = EXTRUDED) -> dict[str, float]:
+    """Norms of the errors, of what is extruded per unit depth; the gradient is compared side by side.
 
     Args:
         fsi: coupled run of this problem; the flow's unknown has d components of the velocity, then the pressure.
         data: of the problem.
         t: time of the present state.
         degree: of the quadrature in the fluid.
+        shape: of the membrane.
 
     Returns:
         L2 and H1 norms by name.
     """
     domain, spline, sides = fsi.mesh_f, fsi.spline_sh, fsi.fluid.sides
     d, w, x = domain.geometry.dim, fsi.timeInt_f.x, ufl.SpatialCoordinate(domain)
-    c, depth = constants(domain, data), 1.0 if domain.geometry.dim == 2 else data.H
-    e_y = fsi.timeInt_sh.x - exact_displacement(spline.F, t, constants(spline.mesh, data))
+    c, depth = constants(domain, data), 1.0 if d == 2 or shape.curved else data.H
+    e_y = fsi.timeInt_sh.x - exact_displacement(spline.F, t, constants(spline.mesh, data), shape)
 
     def squares(v: Any, p: Any, left: Any = None) -> list[Any]:
-        exact = exact_flow(x, t, c, left=left)
+        exact = exact_flow(x, t, c, left=left, shape=shape)
         e, grad_e = v - exact.u, ufl.grad(v) - exact.grad_u
         return [ufl.inner(e, e), ufl.inner(grad_e, grad_e), (p - exact.p) ** 2]
 
     def square_of_side(i: int) -> Any:
-        return lambda v, p, s: squares(v, p, is_left(x, t, c, s))[i]
+        return lambda v, p, s: squares(v, p, is_left(x, t, c, s, shape))[i]
 
     forms = [ufl.inner(f, f) * spline.dx for f in (e_y, spline.grad(e_y))]
     if sides is None:
