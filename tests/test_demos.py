@@ -84,6 +84,16 @@ def test_manufactured_in_space_at_toy_size(tmp_path):
     }
 
 
+def test_manufactured_with_a_curved_membrane_at_toy_size(tmp_path):
+    demo = load_demo("manufactured")
+    summary = demo.main(dim=3, curved=True, level=0, out=tmp_path, viz=True)
+    assert summary["dofs_fluid"] == 4 * 4**3
+    assert summary["inputs"]["curved"]
+    assert (tmp_path / "manufactured.png").exists()
+    with pytest.raises(ValueError, match=r"curved = True, dim = 2: a membrane that is curved needs dim = 3"):
+        demo.main(curved=True, out=tmp_path / "plane")
+
+
 @pytest.mark.parametrize("name", DEMOS)
 def test_no_viz_writes_numbers_alone(name, tmp_path):
     demo = load_demo(name)

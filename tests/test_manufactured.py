@@ -202,6 +202,33 @@ def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
     assert summaries[2]["errors"]["L2_u"] > 5 * problem.PUBLISHED_CODE[4]["L2_u"]
 
 
+@pytest.mark.slow
+def test_a_curved_membrane_with_a_pressure_that_jumps_is_between_plain_and_sharp_ones(tmp_path):
+    """Orders 1.1, .6 and .9 with plain fields, 1.2, .7 and 1.4 with "jump", 2, 1 and 1.9 with sharp ones."""
+    found = {p: [curved(level, p, tmp_path / p) for level in (2, 3)] for p in ("plain", "jump", "sharp")}
+    errors = {p: {n: [s["errors_true"][n] for s in found[p]] for n in NORMS} for p in found}
+    for norm in ("L2_u", "H1_u", "L2_p"):
+        for coarse_or_fine in (0, 1):
+            plain, jump, sharp = (errors[p][norm][coarse_or_fine] for p in found)
+            assert sharp < jump < plain, norm
+    for norm, order in {"L2_u": 1.9, "H1_u": 0.95, "L2_p": 0.9, "L2_y": 1.8}.items():
+        assert np.log2(np.divide(*errors["sharp"][norm])) > order, norm
+    assert np.log2(np.divide(*errors["jump"]["H1_u"])) > 0.6
+    assert max(s["block_iterations_max"] for p in ("jump", "sharp") for s in found[p]) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("preset", ["plain", "sharp"])
+def test_every_number_of_ranks_gives_the_same_errors_of_a_curved_membrane(preset, tmp_path, monkeypatch):
+    """To what is left of linear solves."""
+    parallel = DEMO.main(dim=3, curved=True, level=1, preset=preset, dt_factor=4.0, out=tmp_path, viz=False)["errors"]
+    monkeypatch.setattr(DEMO, "MPI", SelfOnly)
+    options = {"level": 1, "preset": preset, "dt_factor": 4.0, "out": tmp_path / "alone", "viz": False}
+    alone = DEMO.main(dim=3, curved=True, **options)["errors"]
+    for norm in NORMS:
+        assert parallel[norm] == pytest.approx(alone[norm], rel=1e-5), norm
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim", [2, 3])
 def test_every_number_of_ranks_gives_the_same_errors(dim, tmp_path, monkeypatch):
