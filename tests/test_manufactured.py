@@ -204,7 +204,7 @@ def test_a_wrong_body_force_does_not_converge(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_curved_membrane_with_a_pressure_that_jumps_is_between_plain_and_sharp_ones(tmp_path):
-    """Orders 1.1, .6 and .9 with plain fields, 1.2, .7 and 1.4 with "jump", 2, 1 and 1.9 with sharp ones."""
+    """Orders in L2 and H1 of the velocity: 1.1 and .6 with plain fields, 1.2 and .7 with "jump", 2 and 1 with sharp."""
     found = {p: [curved(level, p, tmp_path / p) for level in (2, 3)] for p in ("plain", "jump", "sharp")}
     errors = {p: {n: [s["errors_true"][n] for s in found[p]] for n in NORMS} for p in found}
     for norm in ("L2_u", "H1_u", "L2_p"):
@@ -218,15 +218,21 @@ def test_a_curved_membrane_with_a_pressure_that_jumps_is_between_plain_and_sharp
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("preset", ["plain", "sharp"])
-def test_every_number_of_ranks_gives_the_same_errors_of_a_curved_membrane(preset, tmp_path, monkeypatch):
-    """To what is left of linear solves."""
-    parallel = DEMO.main(dim=3, curved=True, level=1, preset=preset, dt_factor=4.0, out=tmp_path, viz=False)["errors"]
+def test_every_number_of_ranks_gives_the_same_errors_of_a_curved_membrane(tmp_path, monkeypatch):
+    """With sharp fields and tight blocks; a single pass leaves 5e-5 of the error of the pressure."""
+
+    class Tight(CouplingOptions):
+        @classmethod
+        def sharp(cls):
+            return CouplingOptions.sharp(block_rtol=1e-9, block_atol=1e-13)
+
+    monkeypatch.setattr(DEMO, "CouplingOptions", Tight)
+    options = {"level": 1, "preset": "sharp", "dt_factor": 4.0, "viz": False}
+    parallel = DEMO.main(dim=3, curved=True, out=tmp_path, **options)["errors"]
     monkeypatch.setattr(DEMO, "MPI", SelfOnly)
-    options = {"level": 1, "preset": preset, "dt_factor": 4.0, "out": tmp_path / "alone", "viz": False}
-    alone = DEMO.main(dim=3, curved=True, **options)["errors"]
+    alone = DEMO.main(dim=3, curved=True, out=tmp_path / "alone", **options)["errors"]
     for norm in NORMS:
-        assert parallel[norm] == pytest.approx(alone[norm], rel=1e-5), norm
+        assert parallel[norm] == pytest.approx(alone[norm], rel=1e-7), norm
 
 
 @pytest.mark.mpi
