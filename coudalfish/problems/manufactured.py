@@ -279,7 +279,7 @@ def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = Fals
         loads=[DeadLoad(lambda X, t: membrane_load(X, t, c, shape))],
         solver=direct("petsc"),
     )
-    speed = data.V * shape.profile(patch.evaluate(patch.basis.greville).T[1:], data)
+    speed = data.V * shape.profile(list(patch.evaluate(patch.basis.greville).T[1:]), data)
     at_points = patch.basis.interpolate(np.outer(speed, np.eye(d)[0]))
     exact = exact_displacement(spline.F, 1.0, c, shape)
     shell.start(velocity=spline.free(d).coefficients(spline.project(exact)) if projected else at_points)
