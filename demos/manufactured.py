@@ -5,12 +5,9 @@ Y(s) = L s - s^2. Left of it the flow is u = V Y(x_2) e_1, p = 0. Right of it
 
     u = V Y(x_2) e_1 + S (V t Y'(x_2) e_1 + e_2),   S = V (x_1 - L/2 - V t Y(x_2))/L,   p = -DP,
 
-so that u is continuous and solenoidal, equals the membrane's velocity on it, and pressure and velocity gradient jump.
-Body forces on both sides and a load on the membrane make this an exact solution of the coupled problem. In three
-dimensions the square is extruded by H with one layer of cells and slip on its ends. All norms are per unit depth.
-
-Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
-section 5.3.1, doi:10.1016/j.camwa.2020.01.023.
+so that pressure and velocity gradient jump. Body forces on both sides and a load on the membrane make this exact. In
+space the square is extruded, with norms per unit depth, or the membrane is curved and moves differently everywhere
+(`coudalfish.problems.manufactured`). Source: D. Kamensky, section 5.3.1 of doi:10.1016/j.camwa.2020.01.023.
 """
 
 from functools import partial
@@ -31,34 +28,21 @@ TOY = {"level": 1, "dt_factor": 1.0}
 
 
 def build(
-    d: int,
-    level: int,
-    steps: int,
-    how: CouplingOptions,
-    solver: Any = None,
-    *,
-    projected: bool,
-    data: Any,
-    shape: problem.Shape = problem.EXTRUDED,
-    **more: Any,
+    d: int, level: int, steps: int, how: CouplingOptions, solver: Any = None, *, projected: bool, data: Any, **more: Any
 ) -> tuple[Flow, Shell, CouDALFISh]:
     """Flow and membrane at a refinement level, and both coupled, before the first step."""
-    mesh, N = box(MPI.COMM_WORLD, *problem.fluid_box(data, d, level, shape)), problem.cells_per_side(level)
+    mesh = box(MPI.COMM_WORLD, *problem.fluid_box(data, d, level))
     c = script.constants(mesh.domain, data)
 
     def exact(name: str) -> Any:
-        return lambda x, t: getattr(problem.exact_flow(x, t, c, **which), name)
+        return lambda x, t: getattr(problem.exact_flow(x, t, c, shape=data.shape), name)
 
-    which = {"shape": shape} if shape.curved else {}
-    ends = ("back", "front")
-    sides = WeakVelocity(("left", "right", "bottom", "top", *(ends if shape.curved else ())), exact("u"))
-    conditions = [sides, Slip(ends)] if d == 3 and not shape.curved else [sides]
+    conditions = [WeakVelocity(problem.given(data, d), exact("u")), *map(Slip, problem.slippery(data, d))]
     known = {"rho": c.rho, "mu": c.mu, "f": exact("f"), "dt": data.T / steps, "immersed": "plain"} | more
     scheme, chosen = generalized_alpha(data.rho_infinity), FlowOptions(pin_at=[0.0] * d, solver=solver)
     flow = Flow(mesh, conditions, **known, scheme=scheme, options=chosen)
     flow.start(exact("u"), exact("p"), projected=True)
-    elements = 3 * N // 2 if shape.curved else 2 ** (level + 3)
-    shell = problem.membrane(data, d, elements, projected=projected, shape=shape)
+    shell = problem.membrane(data, d, problem.elements_per_side(data, level), projected=projected)
     return flow, shell, CouDALFISh(flow, shell, how, multiplier=data.DP)
 
 
@@ -77,24 +61,18 @@ def main(
     Args:
         dim: dimension of space, 2 or 3 (one layer).
         level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
-        preset: published, plain fields, those with a pressure that jumps, or, the default in the plane, sharp ones with
-            two sides of the membrane.
+        preset: published, plain fields, a pressure that jumps, or, by default in the plane, sharp fields on both sides.
         curved: whether the membrane is curved and moves differently everywhere, across a cube (dim = 3).
         dt_factor: time step relative to the published one, T/(2 N).
-        initial_velocity: membrane velocity at t = 0, projected as in the published code or interpolated;
-            default: projected for the reference preset, else interpolated.
+        initial_velocity: of the membrane, projected as published (default of the reference) or interpolated.
     """
-    data, out, preset = problem.ProblemData(), results.out, preset or ("sharp" if dim == 2 else "plain")
+    data, out, preset = problem.data_of(dim, curved=curved), results.out, preset or ("sharp" if dim == 2 else "plain")
     steps = max(1, round(2 * problem.cells_per_side(level) / checks.positive("dt_factor", dt_factor)))
     start = initial_velocity or ("projected" if preset == "reference" else "interpolated")
-    shape = problem.CURVED if curved else problem.EXTRUDED
-    if curved and dim == 2:
-        raise ValueError("curved = True, dim = 2: a membrane that is curved needs dim = 3")
     presets = {"reference": CouplingOptions.reference, "plain": CouplingOptions, "sharp": CouplingOptions.sharp}
     presets["jump"] = partial(CouplingOptions.converged, fluid_tangent="consistent")
     options, immersed = presets[preset](), {"jump": "jump", "sharp": "jump and kink"}.get(preset, "plain")
-    known = {"data": data, "projected": start == "projected", "immersed": immersed, "shape": shape}
-    flow, shell, fsi = build(dim, level, steps, options, **known)
+    flow, shell, fsi = build(dim, level, steps, options, projected=start == "projected", data=data, immersed=immersed)
     fields = {"velocity": shell.time.xdot_old, "multiplier": lambda: fsi.lam, "normal": fsi.shell.normals}
     files = movie(flow, out / "fluid.vtkhdf"), partial(VTUSeries, out / "shell", shell.spline, y=shell.y, **fields)
     columns = {"t_alpha": "t_alpha", "passes": "passes"}
@@ -104,15 +82,15 @@ def main(
         return {}
     if results.viz:
         wall, middle = (shell.at(sampling.line(shell.spline, 0, 257, at=place, patch=0)) for place in (0.0, 0.5))
-        X, t, field = middle.reference, fsi.timeInt_f.time, PlaneField(flow.w, sides=flow.sides)
+        X, t, field = middle.reference.T, fsi.timeInt_f.time, PlaneField(flow.w, sides=flow.sides)
         pressure = Colours("pressure", "force/area", -1.5 * data.DP, 0.5 * data.DP, "RdBu_r")
-        look = {"title": f"t = {t:.3g}: pressure, streamlines, membrane", "immersed": [wall.position]}
-        left = field.panel(field.values[:, dim], pressure, length="length", density=1.1, **look)
-        exact = data.V * t * shape.profile(X.T[1:], data)
-        courses = {"exact": (X[:, 1], exact), "computed": (X[:, 1], middle.displacement[:, 0])}
+        look = {"title": f"t = {t:.3g}: pressure, streamlines, membrane", "length": "length", "density": 1.1}
+        left = field.panel(field.values[:, dim], pressure, immersed=[wall.position], **look)
+        exact = data.V * t * data.shape.profile(X[1:], data)
+        courses = {"exact": (X[1], exact), "computed": (X[1], middle.displacement[:, 0])}
         axes = {"x": ("$X_2$", "length"), "y": ("displacement $y_1$", "length"), "title": "membrane"}
         draw(out / "manufactured.png", left, lines(courses, **axes, styles={"exact": {"color": "0.6", "linewidth": 4}}))
-    measured, true = (problem.errors(fsi, data, data.T, degree, shape) for degree in (2, 8))
+    measured, true = (problem.errors(fsi, data, data.T, degree) for degree in (2, 8))
     qoi = against(measured, {} if curved else problem.PUBLISHED_CODE.get(level, {}), problem.DOI)
     inputs = {"preset": preset, "initial_velocity": start, "options": options}
     return results.of_run(run, doi=problem.DOI, qoi=qoi, errors=measured, errors_true=true, inputs=inputs)

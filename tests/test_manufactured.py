@@ -173,9 +173,9 @@ def number(vector):
 
 def test_the_curved_membrane_alone_is_where_its_load_wants_it():
     """Without a flow, with the order of quadratic splines; the load was derived from strains, not from virtual work."""
-    data, errors = problem.ProblemData(L=1.3, V=0.8, DP=0.0, mu=0.0, poisson_ratio=0.2, prestress=2.0, rise=0.3), []
+    data, errors = problem.CurvedData(L=1.3, V=0.8, DP=0.0, mu=0.0, poisson_ratio=0.2, prestress=2.0, rise=0.3), []
     for elements in (4, 8):
-        shell = problem.membrane(data, 3, elements, shape=problem.CURVED)
+        shell = problem.membrane(data, 3, elements)
         shell.solve()
         c = script.constants(shell.spline.mesh, data)
         e = shell.y - problem.exact_displacement(shell.spline.F, 1.0, c, problem.CURVED)

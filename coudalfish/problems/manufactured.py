@@ -24,16 +24,16 @@ Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure i
 section 5.3.1, doi:10.1016/j.camwa.2020.01.023.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import ufl
 from mpi4py import MPI
 
 from coudalfish.coupler import CouDALFISh
+from coudalfish.problems.courses import CURVED, EXTRUDED, Shape, course, sum_of_products, vector
 from shnapr.conditions import DeadLoad
 from shnapr.shell import Shell
 from shnapr.svk import StVenantKirchhoff
@@ -72,72 +72,30 @@ class ProblemData:
     rho_s: float = 1.0
     prestress: float = 10.0
     rho_infinity: float = 0.0
-
-    rise: float = 0.2
+    shape: ClassVar[Shape] = EXTRUDED
 
 
 @dataclass(frozen=True)
-class Shape:
-    """How the membrane lies, moves and is passed along; functions of the positions across the first axis and the data.
+class CurvedData(ProblemData):
+    """Data of the curved membrane in a cube.
 
     Attributes:
-        rest: x_1 of the membrane at rest.
-        profile: displacement along x_1 over V t, zero at the boundary.
-        along: components (w_2, w_3) of what the fluid does along it on its right side; no divergence.
-        curved: whether rest and profile vary in both directions across, in a cube.
+        rise: of the dome at rest, over the squares of the distances from its top.
     """
 
-    rest: Callable[[Sequence[Any], Any], Any]
-    profile: Callable[[Sequence[Any], Any], Any]
-    along: Callable[[Sequence[Any], Any], Sequence[Any]]
-    curved: bool
+    rise: float = 0.2
+    shape: ClassVar[Shape] = CURVED
 
 
-def _hump(s: Any, c: Any) -> Any:
-    return c.L * s - s**2
+def data_of(d: int, *, curved: bool) -> ProblemData:
+    """Data of the published membrane or of the curved one.
 
-
-EXTRUDED = Shape(lambda s, c: c.L / 2, lambda s, c: _hump(s[0], c), lambda s, c: (1.0, 0.0), False)
-"""The published membrane, straight at rest."""
-CURVED = Shape(
-    lambda s, c: c.L / 2 - c.rise * ((s[0] - 0.5 * c.L) ** 2 + 0.6 * (s[1] - 0.45 * c.L) ** 2) / c.L,
-    lambda s, c: 4 * _hump(s[0], c) * _hump(s[1], c) * (1 + (s[0] - s[1] / 2) / (2 * c.L)) / c.L**2,
-    lambda s, c: (1 - s[1] / (2 * c.L), 0.3 + 0.6 * s[0] / c.L),
-    True,
-)
-"""A dome without symmetry; neither its motion nor, with a curved surface at rest, its load is a spline."""
-
-
-def course(x: Any, t: Any, c: Any, shape: Shape) -> SimpleNamespace:
-    """Where the membrane is, at the positions across the first axis of points.
-
-    Args:
-        x: positions, of 2 or 3 components.
-        t: time.
-        c: the problem's data, as numbers or Constants.
-        shape: of the membrane.
-
-    Returns:
-        ``G`` and its slopes ``dG``, the same at rest, ``G_0`` and ``dG_0``, ``speed`` dG/dt and its slopes ``dspeed``,
-        ``along`` (w_2, w_3), and the coordinates ``s`` as variables, for more derivatives.
+    Raises:
+        ValueError: the curved one is asked for in the plane.
     """
-    s = [ufl.variable(x[i]) for i in range(1, len(x))]
-
-    def slopes(f: Any) -> list[Any]:
-        return [ufl.diff(f, s_i) for s_i in s]
-
-    G_0, speed = ufl.as_ufl(shape.rest(s, c)), c.V * shape.profile(s, c)
-    G, along = G_0 + t * speed, shape.along(s, c)[: len(s)]
-    known = {"G": G, "dG": slopes(G), "G_0": G_0, "dG_0": slopes(G_0), "speed": speed, "dspeed": slopes(speed)}
-    return SimpleNamespace(**known, along=along, s=s)
-
-
-def _vector(first: Any, others: Sequence[Any]) -> Any:
-    return ufl.as_vector([first, *others])
-
-
-def _times(one: Sequence[Any], other: Sequence[Any]) -> Any:
-    return sum(a * b for a, b in zip(one, other, strict=True))
+    if curved and d == 2:
+        raise ValueError("curved = True, dim = 2: a membrane that is curved needs dim = 3")
+    return CurvedData() if curved else ProblemData()
 
 
 def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None, shape: Shape = EXTRUDED) -> SimpleNamespace:
@@ -156,8 +114,8 @@ def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None, shape: Shape = EXTRU
     """
     m, none = course(x, t, c, shape), [0.0] * (len(x) - 1)
     S = c.V * (x[0] - m.G) / c.L
-    w, w_rate = _vector(_times(m.along, m.dG), m.along), _vector(_times(m.along, m.dspeed), none)
-    u_left = _vector(m.speed, none)
+    w, w_rate = vector(sum_of_products(m.along, m.dG), m.along), vector(sum_of_products(m.along, m.dspeed), none)
+    u_left = vector(m.speed, none)
     u_right = u_left + S * w
     rate_right = S * w_rate - c.V * m.speed / c.L * w
     left = ufl.lt(x[0], m.G) if left is None else left
@@ -190,7 +148,7 @@ def is_left(x: Any, t: Any, c: Any, s: Any, shape: Shape = EXTRUDED) -> Any:
 
 def exact_displacement(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
     """Displacement of the membrane at reference positions X and a time; c and shape as in :func:`exact_flow`."""
-    return t * _vector(course(X, t, c, shape).speed, [0.0] * (len(X) - 1))
+    return t * vector(course(X, t, c, shape).speed, [0.0] * (len(X) - 1))
 
 
 def membrane_load(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
@@ -211,11 +169,11 @@ def membrane_load(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
     forces = c.prestress * inverse + stiffness * (nu * ufl.tr(raised) * inverse + (1 - nu) * raised * inverse)
     towards = [[J * forces[i, j] for i in range(n)] for j in range(n)]
     elastic = [
-        sum(ufl.diff(_times(row, factors), s_j) for row, s_j in zip(towards, m.s, strict=True))
+        sum(ufl.diff(sum_of_products(row, factors), s_j) for row, s_j in zip(towards, m.s, strict=True))
         for factors in (m.dG, *([float(i == k) for i in range(n)] for k in range(n)))
     ]
     shear = c.mu * c.V / c.L * (1 + ufl.dot(dG, dG))
-    traction = c.DP * _vector(1.0, [-g for g in m.dG]) + shear * _vector(_times(m.along, m.dG), m.along)
+    traction = c.DP * vector(1.0, [-g for g in m.dG]) + shear * vector(sum_of_products(m.along, m.dG), m.along)
     return -(ufl.as_vector(elastic) + traction) / J
 
 
@@ -224,26 +182,38 @@ def cells_per_side(level: int) -> int:
     return 3 * 2 ** checks.whole("level", level, 0)
 
 
-def fluid_box(
-    data: ProblemData, d: int, level: int, shape: Shape = EXTRUDED
-) -> tuple[list[float], list[float], list[int]]:
+def elements_per_side(data: ProblemData, level: int) -> int:
+    """Elements of the membrane, of a curved one along each side."""
+    return 3 * cells_per_side(level) // 2 if data.shape.curved else 2 ** (level + 3)
+
+
+def given(data: ProblemData, d: int) -> tuple[str, ...]:
+    """Names of the walls on which the flow is given."""
+    return ("left", "right", "bottom", "top", *(("back", "front") if d == 3 and data.shape.curved else ()))
+
+
+def slippery(data: ProblemData, d: int) -> tuple[str, ...]:
+    """Names of the walls along which the flow slips, as nothing changes across."""
+    return ("back", "front") if d == 3 and not data.shape.curved else ()
+
+
+def fluid_box(data: ProblemData, d: int, level: int) -> tuple[list[float], list[float], list[int]]:
     """Size of the fluid's mesh at a refinement level.
 
     Args:
         data: of the problem.
-        d: dimension of space, 2 or 3 (one layer).
+        d: dimension of space, 2 or 3 (one layer, but around a curved membrane a cube).
         level: refinement level.
-        shape: of the membrane; around a curved one the mesh is a cube.
 
     Returns:
         Lowest corner, highest corner, and numbers of cells along the axes.
     """
     N, slack = cells_per_side(level), 3e-8 * data.L  # the membrane's ends lie on the boundary: they have to be inside
-    sizes, cells = ([data.L] * 3, [N] * 3) if shape.curved else ([data.L, data.L, data.H], [N, N, 1])
+    sizes, cells = ([data.L] * 3, [N] * 3) if data.shape.curved else ([data.L, data.L, data.H], [N, N, 1])
     return [-slack] * d, [size + slack for size in sizes[:d]], cells[:d]
 
 
-def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = False, shape: Shape = EXTRUDED) -> Shell:
+def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = False) -> Shell:
     """The membrane: fixed ends, no bending; of linear B-splines, which do not move along the direction of an extrusion.
 
     A curved one is made of quadratic B-splines, moves in all directions, and has the same prestress in both.
@@ -254,18 +224,17 @@ def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = Fals
         elements: of the line; of a curved one along each side.
         projected: whether the velocity at t = 0 is projected, as in the published code, or interpolated; a projection
             leaves a small one at the ends, which do not move.
-        shape: of the membrane.
 
     Returns:
         A shell that gets its clock from the flow.
     """
-    patch = _patch(data, d, elements, shape)
-    held = patch.open_sides if shape.curved else ("u0", "u1")
-    along = np.arange(2, d * patch.basis.n, 3) if d == 3 and not shape.curved else np.arange(0)
+    patch = _patch(data, d, elements)
+    held = patch.open_sides if data.shape.curved else ("u0", "u1")
+    along = np.arange(2, d * patch.basis.n, 3) if d == 3 and not data.shape.curved else np.arange(0)
     zero_dofs = np.concatenate([*(patch.side_dofs(side) for side in held), along])
     spline = ExtractedSpline(patch, MPI.COMM_SELF, quadrature_degree=4, zero_dofs=zero_dofs)
     c = constants(spline.mesh, data)
-    prestress = (c.prestress, c.prestress if shape.curved else 0.0, 0.0)
+    prestress = (c.prestress, c.prestress if data.shape.curved else 0.0, 0.0)
     shell = Shell(
         spline,
         StVenantKirchhoff(
@@ -276,31 +245,31 @@ def membrane(data: ProblemData, d: int, elements: int, *, projected: bool = Fals
             bending=False,
         ),
         density=c.rho_s,
-        loads=[DeadLoad(lambda X, t: membrane_load(X, t, c, shape))],
+        loads=[DeadLoad(lambda X, t: membrane_load(X, t, c, data.shape))],
         solver=direct("petsc"),
     )
-    speed = data.V * shape.profile(list(patch.evaluate(patch.basis.greville).T[1:]), data)
+    speed = data.V * data.shape.profile(list(patch.evaluate(patch.basis.greville).T[1:]), data)
     at_points = patch.basis.interpolate(np.outer(speed, np.eye(d)[0]))
-    exact = exact_displacement(spline.F, 1.0, c, shape)
+    exact = exact_displacement(spline.F, 1.0, c, data.shape)
     shell.start(velocity=spline.free(d).coefficients(spline.project(exact)) if projected else at_points)
     return shell
 
 
-def _patch(data: ProblemData, d: int, elements: int, shape: Shape) -> Patch:
+def _patch(data: ProblemData, d: int, elements: int) -> Patch:
     corner = (data.L / 2, 0.0, 0.0)
     if d == 2:
         return shapes.line(corner[:2], (data.L / 2, data.L), elements=elements)
-    if not shape.curved:
+    if not data.shape.curved:
         sides = ((0.0, data.L, 0.0), (0.0, 0.0, data.H))
         return shapes.parallelogram(corner, *sides, elements=(elements, 1), degrees=(1, 1))
 
     def position(u: Any, v: Any) -> list[Any]:
-        return [shape.rest((data.L * u, data.L * v), data), data.L * u, data.L * v]
+        return [data.shape.rest((data.L * u, data.L * v), data), data.L * u, data.L * v]
 
     return shapes.interpolated(position, shapes.uniform_bases((2, 2), (elements, elements), 2))
 
 
-def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int, shape: Shape = EXTRUDED) -> dict[str, float]:
+def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int) -> dict[str, float]:
     """Norms of the errors, of what is extruded per unit depth; the gradient is compared side by side.
 
     Args:
@@ -308,23 +277,22 @@ def errors(fsi: CouDALFISh, data: ProblemData, t: float, degree: int, shape: Sha
         data: of the problem.
         t: time of the present state.
         degree: of the quadrature in the fluid.
-        shape: of the membrane.
 
     Returns:
         L2 and H1 norms by name.
     """
     domain, spline, sides = fsi.mesh_f, fsi.spline_sh, fsi.fluid.sides
     d, w, x = domain.geometry.dim, fsi.timeInt_f.x, ufl.SpatialCoordinate(domain)
-    c, depth = constants(domain, data), 1.0 if d == 2 or shape.curved else data.H
-    e_y = fsi.timeInt_sh.x - exact_displacement(spline.F, t, constants(spline.mesh, data), shape)
+    c, depth = constants(domain, data), 1.0 if d == 2 or data.shape.curved else data.H
+    e_y = fsi.timeInt_sh.x - exact_displacement(spline.F, t, constants(spline.mesh, data), data.shape)
 
     def squares(v: Any, p: Any, left: Any = None) -> list[Any]:
-        exact = exact_flow(x, t, c, left=left, shape=shape)
+        exact = exact_flow(x, t, c, left=left, shape=data.shape)
         e, grad_e = v - exact.u, ufl.grad(v) - exact.grad_u
         return [ufl.inner(e, e), ufl.inner(grad_e, grad_e), (p - exact.p) ** 2]
 
     def square_of_side(i: int) -> Any:
-        return lambda v, p, s: squares(v, p, is_left(x, t, c, s, shape))[i]
+        return lambda v, p, s: squares(v, p, is_left(x, t, c, s, data.shape))[i]
 
     forms = [ufl.inner(f, f) * spline.dx for f in (e_y, spline.grad(e_y))]
     if sides is None:
