@@ -241,7 +241,7 @@ def test_every_number_of_ranks_gives_the_same_errors(dim, tmp_path, monkeypatch)
     """With direct solves and tight blocks the errors do not depend on the ranks; the figures are those of one rank."""
 
     class Tight:
-        reference, sharp = CouplingOptions.reference, CouplingOptions.sharp
+        reference, sharp, converged = CouplingOptions.reference, CouplingOptions.sharp, CouplingOptions.converged
 
         def __new__(cls):
             return CouplingOptions(block_rtol=1e-11, block_atol=1e-14)
