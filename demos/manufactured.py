@@ -37,7 +37,7 @@ def build(
     def exact(name: str) -> Any:
         return lambda x, t: getattr(problem.exact_flow(x, t, c, shape=data.shape), name)
 
-    conditions = [WeakVelocity(problem.given(data, d), exact("u")), *map(Slip, problem.slippery(data, d))]
+    conditions = [WeakVelocity(problem.walls_with_velocity(data, d), exact("u")), *map(Slip, problem.slippery(data, d))]
     known = {"rho": c.rho, "mu": c.mu, "f": exact("f"), "dt": data.T / steps, "immersed": "plain"} | more
     scheme, chosen = generalized_alpha(data.rho_infinity), FlowOptions(pin_at=[0.0] * d, solver=solver)
     flow = Flow(mesh, conditions, **known, scheme=scheme, options=chosen)

@@ -64,7 +64,7 @@ def course(x: Any, t: Any, c: Any, shape: Shape) -> SimpleNamespace:
     return SimpleNamespace(**known, along=along, s=s)
 
 
-def vector(first: Any, others: Sequence[Any]) -> Any:
+def vector_of(first: Any, others: Sequence[Any]) -> Any:
     """UFL vector of components along the first axis and across."""
     return ufl.as_vector([first, *others])
 

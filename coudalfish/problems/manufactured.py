@@ -33,7 +33,7 @@ import ufl
 from mpi4py import MPI
 
 from coudalfish.coupler import CouDALFISh
-from coudalfish.problems.courses import CURVED, EXTRUDED, Shape, course, sum_of_products, vector
+from coudalfish.problems.courses import CURVED, EXTRUDED, Shape, course, sum_of_products, vector_of
 from shnapr.conditions import DeadLoad
 from shnapr.shell import Shell
 from shnapr.svk import StVenantKirchhoff
@@ -114,8 +114,8 @@ def exact_flow(x: Any, t: Any, c: Any, *, left: Any = None, shape: Shape = EXTRU
     """
     m, none = course(x, t, c, shape), [0.0] * (len(x) - 1)
     S = c.V * (x[0] - m.G) / c.L
-    w, w_rate = vector(sum_of_products(m.along, m.dG), m.along), vector(sum_of_products(m.along, m.dspeed), none)
-    u_left = vector(m.speed, none)
+    w, w_rate = vector_of(sum_of_products(m.along, m.dG), m.along), vector_of(sum_of_products(m.along, m.dspeed), none)
+    u_left = vector_of(m.speed, none)
     u_right = u_left + S * w
     rate_right = S * w_rate - c.V * m.speed / c.L * w
     left = ufl.lt(x[0], m.G) if left is None else left
@@ -148,7 +148,7 @@ def is_left(x: Any, t: Any, c: Any, s: Any, shape: Shape = EXTRUDED) -> Any:
 
 def exact_displacement(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
     """Displacement of the membrane at reference positions X and a time; c and shape as in :func:`exact_flow`."""
-    return t * vector(course(X, t, c, shape).speed, [0.0] * (len(X) - 1))
+    return t * vector_of(course(X, t, c, shape).speed, [0.0] * (len(X) - 1))
 
 
 def membrane_load(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
@@ -173,7 +173,7 @@ def membrane_load(X: Any, t: Any, c: Any, shape: Shape = EXTRUDED) -> Any:
         for factors in (m.dG, *([float(i == k) for i in range(n)] for k in range(n)))
     ]
     shear = c.mu * c.V / c.L * (1 + ufl.dot(dG, dG))
-    traction = c.DP * vector(1.0, [-g for g in m.dG]) + shear * vector(sum_of_products(m.along, m.dG), m.along)
+    traction = c.DP * vector_of(1.0, [-g for g in m.dG]) + shear * vector_of(sum_of_products(m.along, m.dG), m.along)
     return -(ufl.as_vector(elastic) + traction) / J
 
 
@@ -187,7 +187,7 @@ def elements_per_side(data: ProblemData, level: int) -> int:
     return 3 * cells_per_side(level) // 2 if data.shape.curved else 2 ** (level + 3)
 
 
-def given(data: ProblemData, d: int) -> tuple[str, ...]:
+def walls_with_velocity(data: ProblemData, d: int) -> tuple[str, ...]:
     """Names of the walls on which the flow is given."""
     return ("left", "right", "bottom", "top", *(("back", "front") if d == 3 and data.shape.curved else ()))
 
