@@ -115,7 +115,7 @@ def swinging(case):
     """A sheet that a pressure moves up and down through the cells."""
     loose = CouplingOptions.converged(trace="nodes", fluid_tangent="consistent")
     fields = {"jump": ("jump", loose), "sharp": ("jump and kink", CouplingOptions.sharp())}[case]
-    return dome(*fields, pressure=lambda t: 3.0 * ufl.sin(2.0 * math.pi * t / 1.37))
+    return dome(*fields, pressure=lambda t: 2.0 * ufl.sin(2.0 * math.pi * t / 1.37))
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,7 @@ class FluidSubproblem:
         marks[self.trace_dofs] = 1.0
         self._is_velocity = self.system.owned(marks)
         self._product = self.system.b.duplicate()
+        compat.freed_with(self._is_velocity, self._product)  # made anew together
 
     def __repr__(self) -> str:
         parts = [f"{compat.unknowns(self.timeInt.x.function_space)} unknowns in {self.mesh.geometry.dim}D"]
