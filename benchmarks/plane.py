@@ -461,6 +461,18 @@ DISCHARGE = {10.0: 0.60, 27.0: 0.67, 55.0: 0.67}
 """Flow over ``gap sqrt(2 jump/rho)`` of a slit at some Reynolds numbers, from meshes that fit the plates."""
 
 
+def slit_flow(gap: float, reynolds: float) -> float:
+    """Flow rate through a slit in a wall for a jump and a density of one.
+
+    Args:
+        gap: its width.
+        reynolds: see :class:`Slit`.
+    """
+    if reynolds > 1.0:
+        return DISCHARGE[reynolds] * gap * math.sqrt(2.0)
+    return gap * math.sqrt(math.pi * reynolds / 32.0)
+
+
 @dataclass(frozen=True)
 class Slit:
     """Two rigid plates on one line across the duct (-1, 1) x (0, 1) with slip walls; between them is a gap.
@@ -496,10 +508,7 @@ class Slit:
     @property
     def reference(self) -> float:
         """Flow rate for a jump and a density of one."""
-        g = self.gap / self.n
-        if self.reynolds > 1.0:
-            return DISCHARGE[self.reynolds] * g * math.sqrt(2.0)
-        return g * math.sqrt(math.pi * self.reynolds / 32.0)
+        return slit_flow(self.gap / self.n, self.reynolds)
 
     @property
     def mu(self) -> float:

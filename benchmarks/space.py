@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import ufl
-from plane import COMM, DISCHARGE, Coupled, Found, Setting, immersed_flow, rigid
+from plane import COMM, Coupled, Found, Setting, immersed_flow, rigid, slit_flow
 
 from coudalfish.surface import exchange
 from shnapr import ContactRecipe, LinearKernel, Shell, StVenantKirchhoff
@@ -444,10 +444,7 @@ class Slit:
     @property
     def reference(self) -> float:
         """Flow rate per depth for a jump and a density of one."""
-        g = self.gap / self.n
-        if self.reynolds > 1.0:
-            return DISCHARGE[self.reynolds] * g * math.sqrt(2.0)
-        return g * math.sqrt(math.pi * self.reynolds / 32.0)
+        return slit_flow(self.gap / self.n, self.reynolds)
 
     def build(self, setting: Setting) -> Coupled:
         """The scene at rest, with the jump in its pressure and on the plates."""

@@ -160,9 +160,8 @@ class CondensedSystem:
             at.fluid.system.multiply(flow, result)
         a = self._at_nodes(given[: self._n])
         m, a_f = self._functions, at.fluid.timeInt.x_factor
-        v = np.zeros(
-            points + m + (m if at.X_t is not None else 0)
-        )  # at the points, coefficients: in one sum over ranks
+        more = 0 if at.X_t is None else m
+        v = np.zeros(points + m + more)  # velocities at points, coefficients, powers beside: in one sum over ranks
         v[:points] = (a_f * (at.trace.B @ a)).ravel()
         v[points:][: self._own] = given[self._n :]
         if at.X_t is not None:
