@@ -83,6 +83,32 @@ def test_tangent_is_the_slope_of_the_residual(time_step):
     assert np.abs(other - slope).max() > 0.02 * np.abs(slope).max()
 
 
+@pytest.mark.parametrize("time_step", [None, 1e-3])
+def test_a_positive_tangent_has_a_semidefinite_part_of_contact_and_the_same_residual(time_step):
+    spline, y, system, _ = beams(time_step)
+    n = spline.geometry.n
+    U = 1e-3 * np.random.default_rng(0).standard_normal((n, 2))
+    U[n // 2 :, 1] -= 0.5 * GAP
+    y.x.array[:] = (spline.vector.nodes @ U).ravel()
+    parts, residuals, free = {}, {}, np.setdiff1d(np.arange(2 * n), spline.zero_dofs)
+    for positive in (False, True):
+        system.positive = positive
+        system.assemble_residual()
+        residuals[positive] = system.b.array_r.copy()
+        system.assemble_tangent()
+        whole = dense(system.A)
+        system.renew_contact()  # leaves out the same
+        np.testing.assert_allclose(dense(system.A), whole, rtol=0.0, atol=1e-12 * np.abs(whole).max())
+        system._bind(system._own)
+        parts[positive] = (whole - dense(system.A))[np.ix_(free, free)]
+    assert system.forces.pairs > 10
+    np.testing.assert_array_equal(residuals[True], residuals[False])
+    lowest = {positive: np.linalg.eigvalsh(part).min() for positive, part in parts.items()}
+    scale = np.abs(parts[True]).max()
+    assert lowest[True] > -1e-9 * scale
+    assert lowest[False] < -1e-2 * scale
+
+
 @pytest.mark.parametrize("r_self", [0.09, 0.12])
 def test_a_loaded_beam_rests_on_the_other_one_however_near_it_starts(r_self):
     spline, y, system, stepper = beams(load=0.02, r_self=r_self)

@@ -1,6 +1,7 @@
 """Surfaces in flows of tetrahedra whose fields differ on both sides of them, coupled."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,16 @@ import restarted
 import ufl
 from mpi4py import MPI
 from dome import TIGHT, dome
+from load import load_demo
+from scenes import sheet_in_flow
 from space import IN_SPACE, HeldSurface, Obstacle, Pair, Sphere
 from surface import setting_of
 
 from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState
+from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step import condensed
+from shnapr.contact import LinearKernel, SelfContact
 from tigar_x.fem.linear import SolveError
 from tigar_x.run.progress import rss_mib
 from tigar_x.run.restart import Restart
@@ -169,6 +174,55 @@ def test_two_sheets_that_a_sudden_pressure_presses_together_do_not_bounce():
     assert found.figures["distance"] == pytest.approx(0.0, abs=0.01)
     assert found.figures["contact"] == pytest.approx(0.0, abs=0.15)
     assert found.figures["force"] == pytest.approx(0.0, abs=0.06)
+
+
+def in_plane(options):
+    """Two sheets that come near each other."""
+    ends = ((0.4, 0.2), (0.4, 0.8)), ((0.45, 0.2), (0.45, 0.8))
+    velocity = [(1.0, 0.0), (-1.0, 0.0)]
+
+    def contact(quadrature):
+        return SelfContact(quadrature, LinearKernel(0.06, 1e3), 0.07, neighbours="surface")
+
+    return sheet_in_flow((0.0, 0.0), ends=ends, sheet_velocity=velocity, contact=contact, n=4, dt=0.005, options=options).fsi
+
+
+def pressed(options):
+    """Two plates in space that touch, in a flow whose fields are the same on both sides."""
+    setting = setting_of("plain" if options.multiplier == "lagged" else "converged", IN_SPACE)
+    return Pair(0.5, n=4, touching=True).build(setting).fsi
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "expected"),
+    [
+        (pressed, CouplingOptions.converged(), True),
+        (pressed, CouplingOptions(), False),
+        (in_plane, CouplingOptions.converged(), False),
+        (in_plane, CouplingOptions(), False),
+    ],
+)
+def test_a_converged_multiplier_in_space_has_a_positive_tangent_of_contact(scene, options, expected, monkeypatch):
+    fsi, asked, assemble = scene(options), [], ShellSubproblem.assemble_tangent
+
+    def noted(self, W, penalty, *, positive=False):
+        asked.append(positive)
+        assemble(self, W, penalty, positive=positive)
+
+    monkeypatch.setattr(ShellSubproblem, "assemble_tangent", noted)
+    assert fsi.takeStep().attempts == 1
+    assert fsi.shell.touching is not None
+    assert set(asked) == {expected}
+
+
+def test_leaflets_that_a_sudden_pressure_closes_take_one_attempt_a_step():
+    """With all of contact's tangent five of them take two to four attempts, and up to 42 passes."""
+    demo = load_demo("heart_valve")
+    fsi = demo.Valve(resolution=6, dt=2e-4, preset="jump").build(replace(demo.Data(), systolic=-1e5))[2]
+    reports = [fsi.takeStep() for _ in range(36)]
+    assert sum(report.contact.pairs > 0 for report in reports) > 10
+    assert [report.attempts for report in reports] == [1] * 36
+    assert max(report.passes for report in reports) <= 8
 
 
 def test_the_pressure_in_a_sphere_is_that_of_its_tension():

@@ -180,6 +180,14 @@ class Step:
         """Linear functions of the fluid mesh's vertices at the points, made where something asks (collective)."""
         return self.meeting.vertex_functions()
 
+    @property
+    def positive(self) -> bool:
+        """Whether the shell's tangent leaves out what makes that of contact indefinite.
+
+        A multiplier that is converged needs a system that is not, and a light shell in space does not make up for it.
+        """
+        return self.cautious or (self.lag == 0.0 and self.shell.spline.nsd == 3)
+
     # -- block iteration ----------------------------------------------------------------------------------------------
 
     def _iterate(self) -> None:
@@ -270,7 +278,7 @@ class Step:
 
     def _move_shell(self, y: FloatArray, fresh: bool) -> None:
         if fresh:
-            self.shell.assemble_tangent(self.W, self.beta, positive=self.cautious)
+            self.shell.assemble_tangent(self.W, self.beta, positive=self.positive)
         elif self.shell.touching is not None:
             self.shell.renew_contact()
         before = y.copy()

@@ -163,7 +163,7 @@ class ConvergedMultiplier:
             self._part = step.penalty_tangent(consistent=True)
             step.fluid.assemble_tangent(step.trace, self._part)
             step.block = "shell"
-            ranks.agreed(step.comm, lambda: shell.assemble_tangent(step.W, step.beta))
+            ranks.agreed(step.comm, lambda: shell.assemble_tangent(step.W, step.beta, positive=step.positive))
         acting = self._acting(step)
         return Linearised(
             fluid=step.fluid,

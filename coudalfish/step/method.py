@@ -55,6 +55,10 @@ class Stepping(Protocol):
     acceptance: Acceptance
 
     @property
+    def positive(self) -> bool:
+        """Whether the shell's tangent leaves out what makes that of contact indefinite."""
+
+    @property
     def vertex_functions(self) -> sp.csr_matrix:
         """Linear functions of the fluid mesh's vertices at the points (collective)."""
 
