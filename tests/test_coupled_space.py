@@ -184,7 +184,9 @@ def in_plane(options):
     def contact(quadrature):
         return SelfContact(quadrature, LinearKernel(0.06, 1e3), 0.07, neighbours="surface")
 
-    return sheet_in_flow((0.0, 0.0), ends=ends, sheet_velocity=velocity, contact=contact, n=4, dt=0.005, options=options).fsi
+    return sheet_in_flow(
+        (0.0, 0.0), ends=ends, sheet_velocity=velocity, contact=contact, n=4, dt=0.005, options=options
+    ).fsi
 
 
 def pressed(options):

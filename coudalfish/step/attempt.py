@@ -82,6 +82,7 @@ class Step:
         block: where the attempt is, "mesh", "fluid", "shell" or "coupling".
         lam: multiplier that the step starts from, at its end that of the next one, shape (points,).
         lag: share of the multiplier that is as the step before left it.
+        positive: whether the shell's tangent leaves out what makes that of contact indefinite.
         multiplier: that of the step, once the points are placed.
     """
 
@@ -106,8 +107,8 @@ class Step:
         self.meets, self.locator, self.watch, self.cautious = meets, locator, watch, cautious
         self.lam, self.floors, self.beta = start.lam, start.floors, start.penalty
         self.anderson = Anderson(max(self.options.acceleration, 1))
-        self.dt = fluid.timeInt.step_size
-        self.block = "coupling"
+        self.dt, self.block = fluid.timeInt.step_size, "coupling"
+        self.positive = cautious or (self.lag == 0.0 and shell.spline.nsd == 3)
         self.acceptance = Acceptance(self.options)
         self.passes, self.linear_iterations, self.inactive, self.spacing = 0, 0, 0, 0.0
 
@@ -179,14 +180,6 @@ class Step:
     def vertex_functions(self) -> sp.csr_matrix:
         """Linear functions of the fluid mesh's vertices at the points, made where something asks (collective)."""
         return self.meeting.vertex_functions()
-
-    @property
-    def positive(self) -> bool:
-        """Whether the shell's tangent leaves out what makes that of contact indefinite.
-
-        A multiplier that is converged needs a system that is not, and a light shell in space does not make up for it.
-        """
-        return self.cautious or (self.lag == 0.0 and self.shell.spline.nsd == 3)
 
     # -- block iteration ----------------------------------------------------------------------------------------------
 
@@ -310,8 +303,7 @@ class Step:
 
     def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        unmoved = exchange.tractions(self.multiplier.whole - self.multiplier.acting, n)
-        forces = self.forces + W[:, None] * unmoved
+        forces = self.forces + W[:, None] * exchange.tractions(self.multiplier.whole - self.multiplier.acting, n)
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
         lam = exchange.tractions(lam, n) if self.lam.ndim == 2 else lam
         ranks.share(self.comm, lam)

@@ -35,6 +35,8 @@ class Stepping(Protocol):
         passes: finished ones.
         linear_iterations: of the fluid's solver in all passes.
         acceptance: what judges the residuals.
+        positive: whether the shell's tangent leaves out what makes that of contact indefinite, as a converged
+            multiplier in space needs it, where a light shell does not make up for it.
     """
 
     comm: MPI.Comm
@@ -53,10 +55,7 @@ class Stepping(Protocol):
     passes: int
     linear_iterations: int
     acceptance: Acceptance
-
-    @property
-    def positive(self) -> bool:
-        """Whether the shell's tangent leaves out what makes that of contact indefinite."""
+    positive: bool
 
     @property
     def vertex_functions(self) -> sp.csr_matrix:
