@@ -77,7 +77,7 @@ def test_at_a_spike_the_side_is_that_of_the_mean_by_angles():
     surface = Surfaces(x, Net(cells, np.arange(len(x))))
     around = np.array([0.0, 0.0, 1.5]) + 0.05 * RNG.standard_normal((400, 3))
     near = nearest(surface, around)
-    at_tip = near.kind[near._first] >= CORNER
+    at_tip = near.places.kind[near._first] >= CORNER
     assert at_tip.sum() > 50
     assert (near.signed_distance()[at_tip] < 0.0).all()
 

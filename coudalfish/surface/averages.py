@@ -7,7 +7,6 @@ the integrand is a polynomial. A curve that is moved a little feels a little cha
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,47 +14,25 @@ import scipy.sparse as sp
 from dolfinx import fem
 
 from coudalfish.surface.crossings import CellsNearby, Pieces, pieces_of
+from coudalfish.surface.meeting import TOUCHING, Averaged
 from coudalfish.surface.sheets import Sheets
-from coudalfish.surface.trace import Location, PointLocator, TraceMatrix, trace_matrix
+from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 
-TOUCHING = 1e-10
-"""A point whose hat function has less than this share of its area in the fluid is outside."""
-
 
 @dataclass(frozen=True, eq=False)
-class ByAverages:
+class ByAverages(Averaged):
     """A curve in a step whose points see averages, see :class:`coudalfish.surface.meeting.Meeting`.
 
     Attributes:
-        W: areas of the hat functions in the fluid, shape (points,).
-        location: quadrature points of the pieces.
-        penalty: nodal velocities at the quadrature points, and their areas, zero outside the fluid.
-        seen: see :class:`coudalfish.surface.meeting.Meeting`.
-        means: from values at quadrature points to averages, shape (points, quadrature points).
         locator: of the fluid's mesh.
     """
 
-    W: FloatArray
-    location: Location
-    penalty: tuple[sp.csr_matrix, FloatArray]
-    seen: IntArray
-    means: sp.csr_matrix
     locator: PointLocator
 
-    @cached_property
-    def trace(self) -> TraceMatrix:
-        """Averages at the points of nodal velocities."""
-        return TraceMatrix(self.means @ self.penalty[0], self.seen)
-
-    @property
-    def active(self) -> Any:
-        """Mask of the points whose hat functions are in the fluid, wholly or in part, shape (points,)."""
-        return self.W > 0.0
-
     def vertex_functions(self) -> sp.csr_matrix:
-        """See :class:`coudalfish.surface.meeting.Meeting`."""
+        """See there."""
         return (self.means @ self.locator.vertex_functions(self.location)).tocsr()
 
     def normal_forces(self, functions: sp.csr_matrix, n: FloatArray, trace: sp.csr_matrix | None = None) -> None:

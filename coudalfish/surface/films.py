@@ -79,7 +79,7 @@ class Films:
     ) -> None:
         self._comm, self._load, self._number, self._owned = comm, load, surfaces.sheets, owned
         self._sheet, self._phi = near.sheet(), near.signed_distance()
-        gap, covered, first, distances = _gaps(near), near.covered(), near.normals(), _distances(near)
+        gap, covered, first, distances = near.gaps(), near.covered(), near.normals(), near.distances()
         functions = near.functions(continued=True)
         self._films: list[Film] = []
         for k in range(surfaces.sheets):
@@ -90,7 +90,7 @@ class Films:
             if not len(here):
                 continue
             other = alone.nearest(x, Sought(here, distances[here] + FILM * sizes[here]))
-            gaps, distance, found = _gaps(other), other.signed_distance(), other.sheet()
+            gaps, distance, found = other.gaps(), other.signed_distance(), other.sheet()
             here = here[found[here] >= 0]
             away = gap[here] - gaps[here]
             close = np.linalg.norm(away, axis=1) <= FILM * sizes[here]
@@ -177,18 +177,3 @@ class Films:
                 total[:, film.other] += np.bincount(here, values, self._number)
         self._comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
         return sums[0] - sums[0].T, sums[1] + sums[1].T
-
-
-def _gaps(near: NearestOnSurfaces) -> FloatArray:
-    """From the nearest places to the points, zero where one is farther, shape (m, 3); unit: length."""
-    result = np.zeros((near.count, 3))
-    point, first = np.unique(near.point, return_index=True)
-    result[point] = near.gap[first]
-    return result
-
-
-def _distances(near: NearestOnSurfaces) -> FloatArray:
-    """Of the points, zero where one is farther, shape (m,); unit: length."""
-    result = np.zeros(near.count)
-    result[near.point] = near.distance
-    return result

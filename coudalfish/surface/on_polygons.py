@@ -7,43 +7,30 @@ equilibrium with it to rounding.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from coudalfish.surface.meeting import Meeting, NormalForces
+from coudalfish.surface.meeting import TOUCHING, Averaged, Meeting, NormalForces
 from coudalfish.surface.polygons import ZeroPoints
-from coudalfish.surface.trace import Location, TraceMatrix
+from coudalfish.surface.trace import Location
 from tigar_x.compat import FloatArray, IntArray
-
-TOUCHING = 1e-10
-"""A point whose hat function has less than this share of its area in the fluid is outside."""
 
 
 @dataclass(frozen=True, eq=False)
-class OnPolygons:
+class OnPolygons(Averaged):
     """A surface in a step that meets the fluid on polygons, see :class:`coudalfish.surface.meeting.Meeting`.
 
     Attributes:
-        W: areas at rest of the hat functions on polygons, shape (points,).
-        location: this rank's points on polygons.
-        normals: of the polygons there, shape (polygon points, d).
+        normals: of the polygons at this rank's points on them, shape (polygon points, d).
         hats: hat functions there, shape (polygon points, points).
-        penalty: nodal velocities there, and areas at rest.
-        seen: see :class:`coudalfish.surface.meeting.Meeting`.
         plain: the surface where it is.
         comm: of the fluid.
     """
 
-    W: FloatArray
-    location: Location
     normals: FloatArray
     hats: sp.csr_matrix
-    penalty: tuple[sp.csr_matrix, FloatArray]
-    seen: IntArray
     plain: Meeting
     comm: MPI.Comm
 
@@ -76,23 +63,9 @@ class OnPolygons:
         starts = np.arange(0, column.size + 1, nodes.shape[1])
         E = sp.csr_matrix((points.barycentric.ravel(), column.ravel(), starts), shape=(len(areas), len(seen)))
         location = Location(points.cells, points.barycentric, np.ones(len(areas), dtype=bool))
-        return cls(W, location, points.normals, hats, (E, areas), seen, plain, comm)
-
-    @cached_property
-    def means(self) -> sp.csr_matrix:
-        """From values at the polygons' points to averages at the surface's points, this rank's share."""
-        inverse = np.divide(1.0, self.W, out=np.zeros_like(self.W), where=self.W > 0.0)
-        return (sp.diags(inverse) @ self.hats.T @ sp.diags(self.penalty[1])).tocsr()
-
-    @cached_property
-    def trace(self) -> TraceMatrix:
-        """See :class:`coudalfish.surface.meeting.Meeting`."""
-        return TraceMatrix(self.means @ self.penalty[0], self.seen)
-
-    @property
-    def active(self) -> Any:
-        """See there."""
-        return self.W > 0.0
+        inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
+        means = (sp.diags(inverse) @ hats.T @ sp.diags(areas)).tocsr()
+        return cls(W, location, (E, areas), seen, means, points.normals, hats, plain, comm)
 
     def vertex_functions(self) -> sp.csr_matrix:
         """See there (collective)."""

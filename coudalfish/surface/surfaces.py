@@ -89,7 +89,7 @@ class Surfaces:
         for one in sought:
             limit[one.points] = one.reach
         near = self._boxes.nearest(x, limit)
-        return NearestOnSurfaces(self, len(x), **near.only(self._different(near))._asdict())
+        return NearestOnSurfaces(self, len(x), near.only(self._different(near)))
 
     def _different(self, near: NearPlaces) -> IntArray:
         """An order in which points ascend, and triangles of one point, without places that are the same."""
@@ -176,22 +176,12 @@ class NearestOnSurfaces:
     Attributes:
         surfaces: the surfaces.
         count: number m of the points.
-        point: to which of them, ascending, shape (near,).
-        triangle: in which triangles, of one point ascending, shape (near,).
-        kind: of the places, see :mod:`coudalfish.surface.triangles`, shape (near,).
-        inner: second and third barycentric coordinates there, shape (near, 2).
-        gap: from there to the points, shape (near, 3); unit: length.
-        distance: its length, shape (near,).
+        places: the places, of one point by their triangles, ascending.
     """
 
     surfaces: Surfaces
     count: int
-    point: IntArray
-    triangle: IntArray
-    kind: IntArray
-    inner: FloatArray
-    gap: FloatArray
-    distance: FloatArray
+    places: NearPlaces
 
     def __post_init__(self) -> None:
         checks.freeze(self)
@@ -199,12 +189,12 @@ class NearestOnSurfaces:
     @cached_property
     def _first(self) -> IntArray:
         """The first place of each point."""
-        return np.flatnonzero(np.diff(self.point, prepend=-1))
+        return np.flatnonzero(np.diff(self.places.point, prepend=-1))
 
     @cached_property
     def _normals(self) -> FloatArray:
         """Those of the surface at the first places, shape (points in reach, 3)."""
-        return self.surfaces.normals(self.triangle[self._first], self.kind[self._first])
+        return self.surfaces.normals(self.places.triangle[self._first], self.places.kind[self._first])
 
     @cached_property
     def _beyond(self) -> Any:
@@ -213,10 +203,11 @@ class NearestOnSurfaces:
 
     def _on(self, edges: Any) -> Any:
         """Mask of those on some edges, by a mask of these."""
-        net, on_edge, at_corner = self.surfaces.net, (self.kind >= EDGE) & (self.kind < CORNER), self.kind >= CORNER
-        result = np.zeros(len(self.kind), dtype=bool)
-        result[on_edge] = edges[net.edges[self.triangle[on_edge], self.kind[on_edge] - EDGE]]
-        result[at_corner] = net.at_corners(edges)[net.corners[self.triangle[at_corner], self.kind[at_corner] - CORNER]]
+        net, triangle, kind = self.surfaces.net, self.places.triangle, self.places.kind
+        on_edge, at_corner = (kind >= EDGE) & (kind < CORNER), kind >= CORNER
+        result = np.zeros(len(kind), dtype=bool)
+        result[on_edge] = edges[net.edges[triangle[on_edge], kind[on_edge] - EDGE]]
+        result[at_corner] = net.at_corners(edges)[net.corners[triangle[at_corner], kind[at_corner] - CORNER]]
         return result
 
     def signed_distance(self) -> FloatArray:
@@ -227,23 +218,33 @@ class NearestOnSurfaces:
             from the plane that continues it. Unit: length.
         """
         k = self._first
-        side, distance = -np.einsum("pi,pi->p", self.gap[k], self._normals), self.distance[k]
+        side, distance = -np.einsum("pi,pi->p", self.places.gap[k], self._normals), self.places.distance[k]
         return self._spread(np.where(self._beyond[k], side, np.where(side < 0.0, -distance, distance)), np.nan)
 
     def normals(self) -> FloatArray:
         """Unit normals there, to where the distance is positive, zero where a point is farther, shape (m, 3)."""
         k, result = self._first, np.zeros((self.count, 3))
-        result[self.point[k]] = -self._normals
+        result[self.places.point[k]] = -self._normals
         return result
+
+    def gaps(self) -> FloatArray:
+        """From the nearest places to the points, zero where one is farther, shape (m, 3); unit: length."""
+        k, result = self._first, np.zeros((self.count, 3))
+        result[self.places.point[k]] = self.places.gap[k]
+        return result
+
+    def distances(self) -> FloatArray:
+        """Of the points, zero where one is farther, shape (m,); unit: length."""
+        return self._spread(self.places.distance[self._first], 0.0)
 
     def sheet(self) -> IntArray:
         """Number of the nearest sheet, -1 where a point is farther, shape (m,)."""
-        return self._spread(self.surfaces.net.sheet[self.triangle[self._first]], -1)
+        return self._spread(self.surfaces.net.sheet[self.places.triangle[self._first]], -1)
 
     def covered(self) -> Any:
         """Whether the nearest place is not beyond a free edge, shape (m,); farther points are not covered."""
         k = self._first
-        return self._spread(~self._on(self.surfaces.net.free)[k] | (self.distance[k] == 0.0), False)
+        return self._spread(~self._on(self.surfaces.net.free)[k] | (self.places.distance[k] == 0.0), False)
 
     def margin(self, reach: FloatArray) -> FloatArray:
         """Distance to the next free edge along the surface, negative beyond it.
@@ -255,11 +256,11 @@ class NearestOnSurfaces:
             Shape (m,), no more than the reach, and minus that where a point is farther from the surface.
         """
         k, surfaces = self._first, self.surfaces
-        normal = surfaces.triangles.normals[self.triangle[k]]
-        along = self.gap[k] - np.einsum("pi,pi->p", self.gap[k], normal)[:, None] * normal
-        inner = np.column_stack([1.0 - self.inner[k].sum(axis=1), self.inner[k]])
-        feet = np.einsum("pc,pci->pi", inner, surfaces.triangles.x[self.triangle[k]])
-        there = reach[self.point[k]]
+        normal = surfaces.triangles.normals[self.places.triangle[k]]
+        along = self.places.gap[k] - np.einsum("pi,pi->p", self.places.gap[k], normal)[:, None] * normal
+        inner = np.column_stack([1.0 - self.places.inner[k].sum(axis=1), self.places.inner[k]])
+        feet = np.einsum("pc,pci->pi", inner, surfaces.triangles.x[self.places.triangle[k]])
+        there = reach[self.places.point[k]]
         margin = np.minimum(surfaces.from_ends(feet, there), there)
         beyond = -np.sqrt(np.einsum("pi,pi->p", along, along))
         return self._spread(np.where(self._on(surfaces.net.free)[k], beyond, margin), -reach)
@@ -273,15 +274,15 @@ class NearestOnSurfaces:
         Returns:
             Shape (m, points of the surfaces), rows without entries where a point is farther.
         """
-        inner = np.column_stack([1.0 - self.inner.sum(axis=1), self.inner])
+        inner = np.column_stack([1.0 - self.places.inner.sum(axis=1), self.places.inner])
         if continued:
             k = np.flatnonzero(self._beyond)
             corners = self.surfaces.triangles
-            x = np.einsum("pc,pci->pi", inner[k], corners.x[self.triangle[k]]) + self.gap[k]
-            inner[k] = corners.in_plane(x, self.triangle[k])
-        net, count = self.surfaces.net, np.bincount(self.point, minlength=self.count)
-        values = inner / count[self.point, None]
-        entries = values.ravel(), net.triangles[self.triangle].ravel(), 3 * np.append(0, np.cumsum(count))
+            x = np.einsum("pc,pci->pi", inner[k], corners.x[self.places.triangle[k]]) + self.places.gap[k]
+            inner[k] = corners.in_plane(x, self.places.triangle[k])
+        net, count = self.surfaces.net, np.bincount(self.places.point, minlength=self.count)
+        values = inner / count[self.places.point, None]
+        entries = values.ravel(), net.triangles[self.places.triangle].ravel(), 3 * np.append(0, np.cumsum(count))
         return sp.csr_matrix(entries, shape=(self.count, net.functions.shape[0])) @ net.functions
 
     def values(self, of_points: FloatArray) -> FloatArray:
@@ -299,10 +300,10 @@ class NearestOnSurfaces:
 
     def of_triangles(self, values: FloatArray) -> FloatArray:
         """Values of the nearest triangles, zero where a point is farther, shape (triangles,) -> (m,)."""
-        return self._spread(values[self.triangle[self._first]], 0.0)
+        return self._spread(values[self.places.triangle[self._first]], 0.0)
 
     def _spread(self, values: Any, otherwise: Any) -> Any:
         """Values of all points, out of those of the near places, of which the first counts."""
         result = np.full(self.count, otherwise, dtype=values.dtype)
-        result[self.point[self._first]] = values
+        result[self.places.point[self._first]] = values
         return result
