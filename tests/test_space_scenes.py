@@ -54,17 +54,16 @@ def test_no_volume_passes_a_held_surface_with_a_converged_multiplier(changes):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "changes", [{"jump": 1e5, "dt": 1e5**-0.5}, {"weak": True}, {"curved": 0.0, "slope": (0.31, 0.17)}]
-)
-def test_with_a_jump_a_held_surface_is_in_equilibrium_to_rounding_whatever_the_pressure(changes):
-    """Along normals other than the cut's own what flows is a thousandth of the jump, and more."""
-    surface = HeldSurface(4, ramp=2, steps=3, **changes)
-    found = surface.run(JUMP)
-    assert found.figures["highest"] < 1e-7
-    assert found.figures["velocity"] < 1e-8
-    assert max(found.figures["pattern"], abs(found.figures["load"])) < 1e-5
-    assert found.figures["pressure"] < (0.07 if surface.curved else 1e-5)
+@pytest.mark.parametrize("changes", [{}, {"jump": 1e5}, {"weak": True}, {"curved": 0.0, "slope": (0.31, 0.17)}])
+@pytest.mark.parametrize("name", ["jump", "sharp"])
+def test_a_held_surface_and_a_pressure_that_jumps_are_in_equilibrium_to_rounding(name, changes):
+    """Normals of the shell in place of those of the cut leave velocities of 2e-3 at a jump of one, and 46 at 1e5."""
+    surface = HeldSurface(4, ramp=1, steps=2, **changes)
+    surface = replace(surface, dt=0.05 * surface.jump**-0.5)
+    found = surface.run(setting_of(f"{name}(block_rtol=1e-8)", IN_SPACE))
+    for what, limit in {"highest": 1e-7, "velocity": 1e-8, "leak": 1e-8, "load": 1e-4, "pattern": 1e-4}.items():
+        assert abs(found.figures[what]) < limit, what
+    assert found.figures["pressure"] < (0.08 if surface.curved else 1e-5)  # plain fields: .2
     assert found.passes.max() == 1
     assert found.imbalance < 1e-12
 

@@ -146,7 +146,7 @@ class FluidSubproblem:
         sheets: Sheets,
         x: FloatArray,
         v: FloatArray,
-        load: FloatArray,
+        load: Callable[[], FloatArray],
         *,
         scale_m: float,
         scale_c: float,
@@ -158,7 +158,7 @@ class FluidSubproblem:
             sheets: how its points hang together.
             x: their positions, shape (points, d); unit: length.
             v: their velocities, same shape; unit: length/time.
-            load: multiplier that the step starts from, same shape; unit: force/area.
+            load: gives the multiplier that the step starts from, same shape; unit: force/area.
             scale_m: factor of tau_M near the surface.
             scale_c: divisor of tau_C there.
 
@@ -169,11 +169,11 @@ class FluidSubproblem:
             self.band.update(meeting.location, scale_m=scale_m, scale_c=scale_c)
         return meeting
 
-    def suits(self, load: FloatArray) -> bool:
+    def suits(self, load: Callable[[], FloatArray]) -> bool:
         """Whether a step that ends with a multiplier should have placed the surface as this one did (collective).
 
         Args:
-            load: the multiplier at the end, shape (points, d); unit: force/area.
+            load: gives the multiplier at the end, shape (points, d); unit: force/area.
         """
         return True
 

@@ -77,7 +77,7 @@ class Dividing(Protocol):
     """What finds out how a surface divides a mesh."""
 
     def __call__(
-        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: Callable[[], FloatArray]
     ) -> tuple[Enrichment, Meeting]:
         """What is divided, and how the surface meets that (collective).
 
@@ -86,14 +86,14 @@ class Dividing(Protocol):
             sheets: how its points hang together.
             x: their positions, shape (points, d); unit: length.
             v: their velocities, same shape; unit: length/time.
-            load: multiplier that the step starts from, same shape; unit: force/area.
+            load: gives the multiplier that the step starts from, same shape; unit: force/area.
         """
 
     @property
     def nothing(self) -> Enrichment:
         """What there is without a surface."""
 
-    def suits(self, load: FloatArray) -> bool:
+    def suits(self, load: Callable[[], FloatArray]) -> bool:
         """Whether what was divided last would be so under a load, too (collective); shape (points, d)."""
 
     def weights(self, cut: CutCells) -> FloatArray:
@@ -163,7 +163,7 @@ class SidedFluid(FluidSubproblem):
         sheets: Sheets,
         x: FloatArray,
         v: FloatArray,
-        load: FloatArray,
+        load: Callable[[], FloatArray],
         *,
         scale_m: float,
         scale_c: float,
@@ -202,7 +202,7 @@ class SidedFluid(FluidSubproblem):
         if self.system.layout != layout:
             self._measure()
 
-    def suits(self, load: FloatArray) -> bool:
+    def suits(self, load: Callable[[], FloatArray]) -> bool:
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`."""
         return self._dividing.suits(load)
 

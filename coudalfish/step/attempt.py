@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -152,7 +152,7 @@ class Step:
             self.n = self.shell.normals()
         v = ranks.first(self.comm, self.shell.velocity())
         scales = {"scale_m": self.options.scale_m, "scale_c": self.options.scale_c}
-        load = exchange.tractions(self.lam, self.n)
+        load = partial(exchange.tractions, self.lam, self.n)
         where_it_is = self.meets(x, self.locator)
         meeting = self.fluid.place(where_it_is, self.shell.sheets, x, v, load, **scales)
         self.meeting, self.W, self.trace = meeting, meeting.W, meeting.trace
@@ -314,7 +314,7 @@ class Step:
         monitors = monitors_of(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))
         self.watch.finished(self, report)
-        return Outcome(report, lam, self.floors, self.fluid.suits(exchange.tractions(lam, n)))
+        return Outcome(report, lam, self.floors, self.fluid.suits(partial(exchange.tractions, lam, n)))
 
     def _contact(self) -> ContactReport | None:
         if self.shell.contact is None:

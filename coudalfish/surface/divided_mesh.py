@@ -1,5 +1,7 @@
 """What divides a mesh in the plane or in space, but for where curves and surfaces see the flow."""
 
+from collections.abc import Callable
+
 from dolfinx import fem
 
 from coudalfish.surface.cut_cells import CutCells, SideWeights
@@ -39,7 +41,7 @@ class DividedMesh:
         """See there."""
         return self._enriching.nothing
 
-    def suits(self, load: FloatArray) -> bool:
+    def suits(self, load: Callable[[], FloatArray]) -> bool:
         """See there."""
         return True
 

@@ -1,5 +1,6 @@
 """How curves divide a flow in the plane, and where they see it: on the line on which the signed distance is zero."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ class DividedPlane(DividedMesh):
     """A mesh of triangles that curves divide, see :class:`coudalfish.sides.sided_fluid.Dividing`."""
 
     def __call__(
-        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: Callable[[], FloatArray]
     ) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
         found = self._enriching(Curves.of(sheets, x), meeting, v if self._kinked else None)

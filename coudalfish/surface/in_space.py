@@ -1,5 +1,6 @@
 """How surfaces divide a flow in space, and where they see it: on the polygons on which the signed distance is zero."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -34,7 +35,7 @@ class DividedSpace(DividedMesh):
     _films: Films | None = None
 
     def __call__(
-        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: FloatArray
+        self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: Callable[[], FloatArray]
     ) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
         if self._net is None or self._net[0] is not sheets:
@@ -56,11 +57,11 @@ class DividedSpace(DividedMesh):
             return found, on
         return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)
 
-    def _films_of(self, surfaces: Surfaces, load: FloatArray, *nodes: Any) -> Films:
+    def _films_of(self, surfaces: Surfaces, load: Callable[[], FloatArray], *nodes: Any) -> Films:
         """See :class:`coudalfish.surface.films.Films`."""
-        self._films = Films(self._space.mesh.comm, surfaces, load, *nodes)
+        self._films = Films(self._space.mesh.comm, surfaces, load(), *nodes)
         return self._films
 
-    def suits(self, load: FloatArray) -> bool:
+    def suits(self, load: Callable[[], FloatArray]) -> bool:
         """See there (collective)."""
-        return self._films is None or self._films.suit(load)
+        return self._films is None or self._films.suit(load())
