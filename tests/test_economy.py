@@ -12,7 +12,7 @@ OUTPUT = ("tigar_x.run",)
 CONTACT = ("shnapr.contact",)
 SPACE = tuple(
     f"coudalfish.surface.{name}"
-    for name in ("films", "in_space", "net", "on_polygons", "surfaces", "triangles", "boxes")
+    for name in ("films", "in_space", "net", "on_polygons", "pockets", "surfaces", "triangles", "boxes")
 )
 """For surfaces that divide tetrahedra."""
 SIDES = (

@@ -181,7 +181,7 @@ def test_values_half_way_between_mirrored_surfaces_are_mirrored():
     unlike = surfaces(grid(2, triangles=True), (grid(2)[0] + [0.0, 0.0, 1.0], np.array(other)))
     v = np.where(unlike.x[:, 2] < 0.5, 2.0, -2.0)[:, None]
     at_corner = nearest(unlike, [[0.5, 0.5, 0.5]])  # of six triangles here and of eight there
-    assert len(at_corner.point) == 2
+    assert len(at_corner.places.point) == 2
     np.testing.assert_allclose(at_corner.values(v), 0.0, atol=1e-14)
 
 

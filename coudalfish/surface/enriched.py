@@ -134,7 +134,11 @@ class Enriching:
         arms = self.corners[:, 1:] - self.corners[:, :1]
         self._volumes = np.abs(np.linalg.det(arms))  # but for a factor
         self._set_sizes(space)
-        self._set_walls(space)
+        self._pockets = None
+        if self._d == 3:
+            from coudalfish.surface.pockets import Pockets  # the plane needs none
+
+            self._pockets = Pockets(space, self._of_nodes, self._total)
         self.owned, self._owned_nodes = compat.owned_cells(space.mesh), space.dofmap.index_map.size_local
         nodes = self.vertices[: self.owned]
         self._support = self._total(nodes, self._volumes[: self.owned, None])
@@ -145,13 +149,6 @@ class Enriching:
         self._largest = self._comm.allreduce(float(self.sizes.max(initial=0.0)), op=MPI.MAX)
         self._of_nodes = self._largest_around(space, self.sizes)
         self._of_neighbours = self._largest_around(space, self._of_nodes[self.vertices].max(axis=1))
-
-    def _set_walls(self, space: fem.FunctionSpace) -> None:
-        """Nodes on the boundary, and cells with one of them, in space (collective)."""
-        domain, self._on_wall = space.mesh, np.zeros(len(self.x), dtype=bool)
-        if self._d == 3:
-            self._on_wall[fem.locate_dofs_topological(space, 2, compat.exterior_facets(domain))] = True
-        self._at_wall = np.flatnonzero(self._on_wall[self.vertices[: compat.owned_cells(domain)]].any(axis=1))
 
     def _largest_around(self, space: fem.FunctionSpace, of_cells: FloatArray) -> FloatArray:
         """The largest values of the cells around every node (collective)."""
@@ -195,8 +192,8 @@ class Enriching:
         phi, near = self._distances(interface, films)
         if meeting is not None:
             phi = self._on_line(self._centred(phi, meeting))
-        if self._d == 3:
-            phi = self._without_pockets(phi)
+        if self._pockets is not None:
+            phi = self._pockets.joined(phi, 2.0 * ON_LINE * self._largest)
         cut = CutCells.of(self.vertices, phi)
         zero, real, covered = self._covered(cut, interface)
         nodes, share = self.vertices[cut.cells], cut.negative_share[:, None]
@@ -233,19 +230,6 @@ class Enriching:
             area, sums = (self._total(nodes, E_t @ values) for values in (w, w * off))
             phi = phi - np.divide(sums, area, out=np.zeros_like(sums), where=area > 0.0)
         return phi
-
-    def _without_pockets(self, phi: FloatArray) -> FloatArray:
-        """Values by which a node of a wall is on the side of its neighbours if none of them is on its own (collective).
-
-        What a surface cuts off there is closed, and smaller than a cell. The pressure in it would be that of its node
-        alone, and keep what is in it to rounding, whatever the few functions of a multiplier let pass.
-        """
-        nodes = self.vertices[self._at_wall]
-        side, known = phi[nodes] < 0.0, np.isfinite(phi[nodes])
-        others = (side[:, :, None] == side[:, None, :]).sum(axis=2) > 1
-        company = np.where(others | ~known.all(axis=1)[:, None], 1.0, 0.0)
-        alone = self._on_wall & np.isfinite(phi) & (self._total(nodes, company) == 0.0)
-        return np.where(alone, np.where(phi < 0.0, 0.0, -2.0 * ON_LINE * self._largest), phi)
 
     def _on_line(self, phi: FloatArray) -> FloatArray:
         """Values of which those are zero that rounding alone keeps from it: 0 counts as positive on every rank."""
