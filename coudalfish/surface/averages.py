@@ -13,8 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 from dolfinx import fem
 
+from coudalfish.surface.averaged import TOUCHING, Averaged
 from coudalfish.surface.crossings import CellsNearby, Pieces, pieces_of
-from coudalfish.surface.meeting import TOUCHING, Averaged
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import PointLocator, trace_matrix
 from tigar_x import compat

@@ -12,7 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from coudalfish.surface.meeting import TOUCHING, Averaged, Meeting, NormalForces
+from coudalfish.surface.averaged import TOUCHING, Averaged
+from coudalfish.surface.meeting import Meeting, NormalForces
 from coudalfish.surface.polygons import ZeroPoints
 from coudalfish.surface.trace import Location
 from tigar_x.compat import FloatArray, IntArray
