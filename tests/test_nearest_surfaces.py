@@ -50,6 +50,16 @@ def cube(n=3, triangles=False):
     return surfaces(*faces)
 
 
+def moebius(elements=40, center=(0.5, 0.5, 0.55), radius=0.3, width=0.24):
+    """A strip that is turned by half a turn on its way around."""
+    s, t = np.linspace(0.0, 2.0 * np.pi, elements + 1), np.linspace(-0.5, 0.5, 7)
+    u, v = (part.ravel() for part in np.meshgrid(s, t, indexing="ij"))
+    out, up = radius + width * v * np.cos(0.5 * u), width * v * np.sin(0.5 * u)
+    i = np.arange(len(u)).reshape(len(s), -1)
+    cells = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return np.array(center) + np.column_stack([out * np.cos(u), out * np.sin(u), up]), cells
+
+
 def nearest(surface, x, reach=10.0):
     return surface.nearest(np.asarray(x, dtype=float), Sought(np.arange(len(x)), reach))
 
@@ -67,6 +77,21 @@ def test_sides_of_a_closed_surface_with_sharp_edges(n, triangles):
     assert near.covered().all()
     assert not surface.net.ends.any()
     assert not len(surface.near_ends(x, 10.0))
+
+
+def test_of_a_strip_with_half_a_turn_in_it_the_normals_cannot_agree():
+    x, cells = moebius()
+    np.testing.assert_array_equal(surfaces((x, cells)).net.one_sided, [True])
+    triangles = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+    np.testing.assert_array_equal(surfaces((x, triangles)).net.one_sided, [True])
+    several = surfaces(
+        grid(3), (x + np.array([2.0, 0.0, 0.0]), cells), grid(2, lambda u, v: np.column_stack([u, v, u + 2.0]))
+    )
+    np.testing.assert_array_equal(several.net.one_sided[several.net.sheet_of_points[[0, 20, -1]]], [False, True, False])
+    for closed in (cube(2), cube(2, triangles=True)):
+        assert not closed.net.one_sided.any()
+    turned = surfaces(grid(2), grid(2, lambda u, v: np.column_stack([u + 1.0, v, 0.0 * u]), turned=True))
+    assert turned.net.one_sided.all()  # cells whose normals do not agree, which a net of sheets does not have
 
 
 def test_at_a_spike_the_side_is_that_of_the_mean_by_angles():
@@ -127,6 +152,7 @@ def test_at_the_poles_of_a_sphere_nothing_ends(within):
     sheets = Sheets.of(ExtractedSpline(glued(cap, other, within=within), MPI.COMM_SELF))
     sphere = Surfaces(sheets.X, Net.of(sheets))
     assert sphere.triangles.flat.sum() == 2 * 16
+    assert not sphere.net.one_sided.any()
     assert not sphere.net.ends.any()
     x = np.concatenate([0.1 * RNG.standard_normal((200, 3)) + [0.0, 0.0, 1.0], [[0.0, 0.0, 1.3], [0.0, 0.0, -0.8]]])
     near, away = nearest(sphere, x), np.linalg.norm(x, axis=1) - 1.0
@@ -213,5 +239,7 @@ def test_patches_that_are_parametrised_against_each_other_have_one_side():
     np.testing.assert_allclose(np.abs(phi), 0.1)
     assert len(set(np.sign(phi))) == 1
     assert set(near.sheet()) == {0}
+    assert set(surface.net.sheet_of_points) == {0}
+    assert not surface.net.one_sided.any()
     ends = surface.net.at_corners(surface.net.ends)[surface.net.place]
     np.testing.assert_array_equal(ends, (np.abs(sheets.X[:, :2] - 0.5) > 0.5 - 1e-9).any(axis=1))

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from test_enriched_space import ball, plate
-from test_nearest_surfaces import surfaces
+from test_nearest_surfaces import grid, moebius, surfaces
 
 from coudalfish.surface.enriched import Enriching
 from coudalfish.surface.on_polygons import OnPolygons
@@ -25,7 +25,23 @@ def met(surface, n=5, comm=COMM, stretch=1.0):
     whole = surface.net.functions.T @ np.bincount(
         surface.net.triangles.ravel(), np.repeat(surface.triangles.areas / 3.0, 3), surface.net.functions.shape[0]
     )
-    return space, points, OnPolygons.of(points, hats, areas, e.vertices, whole / stretch, None, comm)
+    return space, points, OnPolygons.of(points, hats, surface.net, areas, e.vertices, whole / stretch, None, comm)
+
+
+def normals_of(surface):
+    """At the points, of any length."""
+    net, faces = surface.net, np.repeat(surface.triangles.normals[:, None], 3, axis=1)
+    return net.sums(faces, net.corners)[net.place]
+
+
+def ridge(z, turned=False, width=0.06):
+    """Across the unit cube and beyond, with a fold whose two sides are nearer to each other than cells are long."""
+
+    def f(u, v):
+        x = 1.2 * u - 0.1
+        return np.column_stack([x, 1.2 * v - 0.1, z + 0.25 * np.exp(-(((x - 0.47) / width) ** 2))])
+
+    return grid(48, f, turned=turned)
 
 
 def total(comm, values):
@@ -61,8 +77,7 @@ def test_action_equals_reaction(surface):
     forces = np.random.default_rng(3).standard_normal(n) * meeting.W
     at_nodes = total(COMM, (meeting.trace.transposed @ forces).sum())
     np.testing.assert_allclose(at_nodes, forces.sum(), atol=1e-13)
-    net, faces = surface.net, np.repeat(surface.triangles.normals[:, None], 3, axis=1)
-    normals = net.sums(faces, net.corners)[net.place]
+    normals = normals_of(surface)
     forces = meeting.normal_forces(sp.identity(n, format="csr"), normals)
     lam = np.random.default_rng(4).standard_normal(n)
     on_surface = (forces.at_points @ lam).reshape(-1, 3)
@@ -75,13 +90,66 @@ def test_action_equals_reaction(surface):
     np.testing.assert_allclose((forces.at_points @ np.ones(n)).reshape(-1, 3).sum(axis=0), expected, atol=1e-13)
 
 
+def of_all_points(meeting, normals):
+    """Forces on the surface of a pressure of one, shape (points, 3), and which share of the polygons is turned."""
+    n = len(normals)
+    forces = (meeting.normal_forces(sp.identity(n, format="csr"), normals).at_points @ np.ones(n)).reshape(-1, 3)
+    against = np.einsum("gi,gi->g", meeting.hats @ normals, meeting.normals) < 0.0
+    areas = meeting.penalty[1]
+    share, whole = total(meeting.comm, [areas[against].sum(), areas.sum()])
+    return forces, share / whole
+
+
 @pytest.mark.mpi
-def test_all_partitions_see_the_same():
-    surface, found = ball(), []
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_pressure_on_a_fold_is_that_on_the_section_of_the_box(turned):
+    """Some polygons at the fold are turned by more than a right angle against the nearest place."""
+    surface = surfaces(ridge(0.433, turned))
+    forces, share = of_all_points(met(surface)[2], normals_of(surface))
+    assert 0.03 < min(share, 1.0 - share) < 0.2
+    np.testing.assert_allclose(forces.sum(axis=0), [0.0, 0.0, -1.0 if turned else 1.0], atol=1e-9)
+
+
+@pytest.mark.mpi
+def test_every_sheet_has_a_sign_of_its_own():
+    surface = surfaces(ridge(0.15), ridge(0.55, turned=True), ridge(0.9))
+    forces, _ = of_all_points(met(surface, n=8)[2], normals_of(surface))
+    assert surface.sheets == 3
+    sheet = surface.net.sheet_of_points
+    for k in range(2):
+        expected = 1.0 if (surface.triangles.normals[surface.net.sheet == k, 2] >= 0.0).all() else -1.0
+        np.testing.assert_allclose(forces[sheet == k].sum(axis=0), [0.0, 0.0, expected], atol=1e-9)
+
+
+@pytest.mark.mpi
+def test_a_sheet_with_one_side_has_the_sign_of_each_polygon():
+    """Beside one with two, a plate below."""
+    strip = moebius()
+    surface = surfaces(strip, plate(0.1))
+    normals = normals_of(surface)
+    _, points, meeting = met(surface, n=6)
+    forces, share = of_all_points(meeting, normals)
+    sheet, one_sided = surface.net.sheet_of_points, surface.net.one_sided
+    assert one_sided.sum() == 1
+    single = one_sided[sheet]
+    of_strip = (meeting.hats @ single.astype(float)) > 0.5
+    side = np.where(np.einsum("gi,gi->g", meeting.hats @ normals, points.normals) < 0.0, -1.0, 1.0)
+    assert total(COMM, [(side[of_strip] > 0.0).sum(), (side[of_strip] < 0.0).sum()]).min() > 10
+    assert 0.0 < share < 1.0
+    expected = total(COMM, ((side * points.areas)[:, None] * points.normals)[of_strip].sum(axis=0))
+    np.testing.assert_allclose(forces[single].sum(axis=0), expected, atol=1e-12)
+    np.testing.assert_allclose(np.abs(forces[~single].sum(axis=0)), [0.0, 0.0, 1.0], atol=0.05)  # the strip is near
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("surface", [ball(), surfaces(ridge(0.433))], ids=["ball", "ridge"])
+def test_all_partitions_see_the_same(surface):
+    found = []
     for comm in (COMM, MPI.COMM_SELF):
         space, _, meeting = met(surface, comm=comm)
         f = fem.Function(space)
         f.interpolate(lambda x: np.sin(3.0 * x[0]) + x[1] * x[2])
-        found.append((meeting.W, total(comm, meeting.trace.B @ f.x.array[meeting.seen])))
+        seen = total(comm, meeting.trace.B @ f.x.array[meeting.seen])
+        found.append((meeting.W, seen, of_all_points(meeting, normals_of(surface))[0]))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-13)

@@ -52,7 +52,7 @@ class DividedSpace(DividedMesh):
         stretch = np.divide(areas, at_rest, out=np.ones_like(areas), where=~flat)
         hats, areas = points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells])
         whole, comm = meeting.W, self._space.mesh.comm
-        on = OnPolygons.of(points, hats, areas, self._enriching.vertices, whole, meeting, comm)
+        on = OnPolygons.of(points, hats, net, areas, self._enriching.vertices, whole, meeting, comm)
         if not self._kinked:
             return found, on
         return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)

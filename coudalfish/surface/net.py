@@ -141,6 +141,25 @@ class Net:
         of = sp.csr_matrix((np.ones(3 * n), (np.repeat(np.arange(n), 3), self.edges.ravel())), shape=(n, number))
         return np.asarray(connected_components(of @ of.T, directed=False)[1])
 
+    @cached_property
+    def sheet_of_points(self) -> IntArray:
+        """Number of the sheet to which a point belongs, -1: none, shape (points,)."""
+        result = np.full(self.functions.shape[0], -1)
+        result[self.triangles] = self.sheet[:, None]
+        return result[: len(self.place)]
+
+    @cached_property
+    def one_sided(self) -> Any:
+        """Mask of the sheets whose normals cannot agree, as that of a Moebius strip, shape (sheets,).
+
+        Two triangles run along their edge in opposite directions where they agree.
+        """
+        ends = self.corners[:, OPPOSITE]
+        way = np.bincount(self.edges.ravel(), np.sign(ends[..., 1] - ends[..., 0]).ravel())
+        result = np.zeros(int(self.sheet.max(initial=-1)) + 1, dtype=bool)
+        result[self.sheet[(np.abs(way) > 1.0)[self.edges].any(axis=1)]] = True
+        return result
+
     def sums(self, values: FloatArray, at: IntArray) -> FloatArray:
         """Sums at edges or places of values of the triangles there.
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from coudalfish.surface.averaged import TOUCHING, Averaged
 from coudalfish.surface.meeting import Meeting, NormalForces
+from coudalfish.surface.net import Net
 from coudalfish.surface.polygons import ZeroPoints
 from coudalfish.surface.trace import Location
 from tigar_x.compat import FloatArray, IntArray
@@ -26,12 +27,14 @@ class OnPolygons(Averaged):
     Attributes:
         normals: of the polygons at this rank's points on them, shape (polygon points, d).
         hats: hat functions there, shape (polygon points, points).
+        net: how the surface's points hang together.
         plain: the surface where it is.
         comm: of the fluid.
     """
 
     normals: FloatArray
     hats: sp.csr_matrix
+    net: Net
     plain: Meeting
     comm: MPI.Comm
 
@@ -40,6 +43,7 @@ class OnPolygons(Averaged):
         cls,
         points: ZeroPoints,
         hats: sp.csr_matrix,
+        net: Net,
         areas: FloatArray,
         nodes: IntArray,
         whole: FloatArray,
@@ -51,6 +55,7 @@ class OnPolygons(Averaged):
         Args:
             points: the points.
             hats: hat functions of the surface's points there.
+            net: how these hang together.
             areas: of the surface at rest that they stand for, shape (polygon points,).
             nodes: those of all cells, shape (cells, d + 1).
             whole: areas at rest of the surface's points, shape (points,).
@@ -66,7 +71,7 @@ class OnPolygons(Averaged):
         location = Location(points.cells, points.barycentric, np.ones(len(areas), dtype=bool))
         inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
         means = (sp.diags(inverse) @ hats.T @ sp.diags(areas)).tocsr()
-        return cls(W, location, (E, areas), seen, means, points.normals, hats, plain, comm)
+        return cls(W, location, (E, areas), seen, means, points.normals, hats, net, plain, comm)
 
     def vertex_functions(self) -> sp.csr_matrix:
         """See there (collective)."""
@@ -83,9 +88,8 @@ class OnPolygons(Averaged):
             trace: see :class:`coudalfish.surface.meeting.Meeting`.
         """
         E = self.penalty[0] if trace is None else trace
-        side = np.where(np.einsum("gi,gi->g", self.hats @ n, self.normals) < 0.0, -1.0, 1.0)
-        d, acting = self.normals.shape[1], (self.hats @ functions).tocsr()
-        forces = (side * self.penalty[1])[:, None] * self.normals
+        d, acting = self.normals.shape[1], (self._sided(n) @ functions).tocsr()
+        forces = self.penalty[1][:, None] * self.normals
         rows = np.repeat(np.arange(acting.shape[0]), np.diff(acting.indptr))
         columns = d * acting.indices[:, None] + np.arange(d)  # components beside each other: one product for all
         entries = (acting.data[:, None] * forces[rows]).ravel(), columns.ravel(), d * acting.indptr
@@ -93,6 +97,24 @@ class OnPolygons(Averaged):
         at_points = self._of_all_ranks((self.hats.T.tocsr() @ each).tocsr())
         beside = E.T.tocsr() @ (each - self.means.T.tocsr() @ at_points)
         return NormalForces(_below(at_points, d), _below(beside, d))
+
+    def _sided(self, n: FloatArray) -> sp.csr_matrix:
+        """Hat functions with the side of the surface on which the polygons' normals are, 1 or -1 (collective).
+
+        A sheet has one side wherever polygons are nearest to it: where sheets touch or fold, single polygons are turned
+        by more than a right angle against the nearest place, and would push the wrong way. Only a sheet that is
+        one-sided has the side of each polygon.
+        """
+        sheet, one_sided = self.net.sheet_of_points, self.net.one_sided
+        along = np.einsum("qi,qi->q", n, self.hats.T @ (self.penalty[1][:, None] * self.normals))
+        votes = np.bincount(sheet + 1, along, len(one_sided) + 1)
+        self.comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
+        sided = self.hats @ sp.diags(np.where(votes < 0.0, -1.0, 1.0)[sheet + 1])
+        if not one_sided.any():
+            return sided
+        each = np.where(np.einsum("gi,gi->g", self.hats @ n, self.normals) < 0.0, -1.0, 1.0)
+        single = np.append(False, one_sided)[sheet + 1]
+        return sided @ sp.diags(1.0 * ~single) + sp.diags(each) @ self.hats @ sp.diags(1.0 * single)
 
     def _of_all_ranks(self, share: sp.csr_matrix) -> sp.csr_matrix:
         """Sum of the ranks' shares of a matrix (collective)."""
