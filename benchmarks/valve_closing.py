@@ -3,11 +3,13 @@
 The demo's valve opens under the systolic traction and is closed by the diastolic one. Every run is a process of its
 own, which writes a row a step; one whose rows are in the folder is not repeated, and one that was cut short has the
 figures of as far as it came. Errors are root mean squares over the time up to a common one, to which all that are
-compared have come, and so are the CPU times beside them.
+compared have come, and so are the CPU times beside them. Reversed at 0, the valve is closed from
+rest. Of the closed valve, which swings, "leak" is the mean flow back and "leak_at_rest" that less what leaflets sweep.
 """
 
 import csv
 import logging
+import math
 import os
 import subprocess
 import sys
@@ -32,7 +34,8 @@ from varmint.quantities import Measured, flow_rate
 
 COLUMNS = (
     *("preset", "cells", "dt", "reversal", "until", "largest_flow", "largest_backflow", "closure_time", "leak"),
-    *("ringing", "opening", "last_opening", "speed", "speed_closed", "lowest_pressure", "highest_pressure"),
+    *("leak_at_rest", "ringing", "opening", "last_opening", "speed", "speed_closed"),
+    *("lowest_pressure", "highest_pressure"),
     *("asymmetry", "asymmetry_closed", "error_flow", "error_opening", "passes", "passes_max", "linear"),
     *("attempts", "cut", "cpu_s_opening", "cpu_s_touching", "cpu_s"),
 )
@@ -48,7 +51,7 @@ class Case:
         preset: of the demo.
         resolution: cells across the aorta.
         dt: time step [s].
-        reversal: time at which the pressure is reversed [s].
+        reversal: time at which the pressure is reversed [s]; 0: it closes the valve from the start.
         until: end [s].
     """
 
@@ -89,7 +92,12 @@ def measure(case: Case, out: Path) -> None:
     def cpu() -> float:
         return float(flow.mesh.domain.comm.allreduce(time.process_time() - compat.compile_cpu_seconds()))
 
+    def swept() -> float:
+        at, W = fsi.shell, fsi.shell.quadrature.weights
+        return -float((W * at.sheets.stretch(at.positions())) @ np.einsum("qi,qi->q", at.velocity(), at.normals()))
+
     history = {
+        **{"swept": swept},
         **{"flow_rate": lambda: -rate()["q"], "linear": "linear_iterations", "attempts": "attempts"},
         **{
             ("speed", "lowest", "highest"): state,
@@ -115,7 +123,7 @@ def run(case: Case, out: Path) -> None:
 def row(case: Case, past: History, finest: History, compared: float) -> dict[str, Any]:
     """A line of the table."""
     end, dt, q = float(past.t[-1]), case.dt, past.course("flow_rate")
-    found = flow_through(q, case.reversal)
+    found = flow_through(q, max(case.reversal, float(past.t[0])))
     line = {name: getattr(case, name) for name in ("preset", "dt", "reversal")} | {"until": end}
     line |= {"cells": int(past["cells"][0]), "largest_flow": found["peak_flow_rate"]}
     line |= {name: found[name] for name in ("largest_backflow", "closure_time") if name in found}
@@ -126,6 +134,7 @@ def row(case: Case, past: History, finest: History, compared: float) -> dict[str
         closed = past.since(found["closure_time"])
         last = past.since(0.5 * (found["closure_time"] + end))
         line |= {"leak": -last.course("flow_rate").mean, "ringing": float(np.ptp(closed["flow_rate"])) / 2.0}
+        line |= {"leak_at_rest": line["leak"] + last.course("swept").mean if "swept" in past else math.nan}
         line |= {"speed_closed": last["speed"].max(), "asymmetry_closed": last["asymmetry"][-1]}
     if end >= compared and finest.t[-1] >= compared:
         t = np.linspace(0.0, compared, 201)[1:]
