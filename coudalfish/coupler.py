@@ -47,8 +47,9 @@ class CouDALFISh(checks.Made):
             by hand.
         shell: the immersed structure, such as shnapr's ``Shell``, which gets the flow's time step and the companion of
             its scheme; or a :class:`ShellSubproblem`.
-        options: how they are coupled; None: ``CouplingOptions.sharp()`` where velocities may be kinked at the shell,
-            else ``CouplingOptions()``.
+        options: how they are coupled; None: as suits the flow's fields at the shell, ``CouplingOptions()`` where they
+            are plain, ``CouplingOptions.converged(fluid_tangent="consistent")`` where the pressure jumps (in the plane
+            with the exact trace as well), ``CouplingOptions.sharp()`` where velocities may also be kinked.
         multiplier: initial multiplier along the normals, a number or shape (points,), or where it is a vector also
             shape (points, d); unit: force/area.
 

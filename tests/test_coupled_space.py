@@ -11,7 +11,7 @@ from mpi4py import MPI
 from dome import TIGHT, dome
 from load import load_demo
 from scenes import sheet_in_flow
-from space import IN_SPACE, Obstacle, Pair, Sphere
+from space import IN_SPACE, HeldSurface, Obstacle, Pair, Sphere
 from surface import setting_of
 
 from coudalfish import CouplingOptions
@@ -25,6 +25,25 @@ from tigar_x.run.restart import Restart
 
 pytestmark = pytest.mark.mpi
 JUMP = CouplingOptions.converged(fluid_tangent="consistent", block_rtol=1e-10, block_atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("immersed", "options"),
+    [
+        ("plain", CouplingOptions()),
+        ("jump", CouplingOptions.converged(fluid_tangent="consistent")),
+        ("jump and kink", CouplingOptions.sharp()),
+    ],
+)
+def test_who_names_no_options_gets_those_that_suit_the_fields(immersed, options):
+    assert dome(immersed, None).fsi.options == options
+
+
+def test_a_surface_holds_a_pressure_that_jumps_without_any_options():
+    """With a multiplier that lags, velocities are .1 on the way."""
+    scene = HeldSurface(4, dt=0.05, ramp=1, steps=2)
+    found = scene.run(replace(IN_SPACE, options=None, immersed="jump"))
+    assert found.figures["highest"] < 1e-6
 
 
 @pytest.mark.parametrize("case", ["jump", "sharp"])

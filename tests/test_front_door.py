@@ -342,8 +342,32 @@ def test_where_fields_cannot_differ_on_both_sides_they_are_plain_and_the_log_say
 
 def test_who_names_no_options_gets_those_that_suit_the_fields():
     assert CouDALFISh(open_flow(), a_shell()).options == CouplingOptions.sharp()
-    assert CouDALFISh(open_flow("jump"), a_shell()).options == CouplingOptions()
+    jump = CouplingOptions.converged(fluid_tangent="consistent", trace="exact")
+    assert CouDALFISh(open_flow("jump"), a_shell()).options == jump
     assert CouDALFISh(open_flow("plain"), a_shell()).options == CouplingOptions()
+
+
+@pytest.mark.parametrize(
+    ("immersed", "options", "said"),
+    [
+        ("jump", CouplingOptions(trace="exact"), ["multiplier = 'lagged'"]),
+        ("jump and kink", CouplingOptions(), ["multiplier = 'lagged'", "trace = 'nodes'"]),
+        ("jump", CouplingOptions.converged(), ["trace = 'nodes'"]),
+        ("jump", CouplingOptions.sharp(), ["multiplier_direction = 'vector'"]),
+        ("plain", CouplingOptions.sharp(), ["multiplier_direction = 'vector'"]),
+        ("plain", CouplingOptions.converged(), []),
+        ("jump", CouplingOptions.converged(trace="exact"), []),
+        ("jump and kink", CouplingOptions.converged(trace="exact"), []),
+    ],
+)
+def test_options_that_do_not_suit_the_fields_are_taken_and_named(immersed, options, said, caplog):
+    fsi = CouDALFISh(open_flow(immersed), a_shell(), options)
+    assert fsi.options == options
+    warned = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert [message.split(" = ")[0] for message in warned] == [name.split(" = ")[0] for name in said]
+    for message, start in zip(warned, said, strict=True):
+        assert message.startswith(start)
+        assert "is advised" in message
 
 
 def test_scales_that_no_field_has_are_named(caplog):

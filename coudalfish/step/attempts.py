@@ -1,7 +1,7 @@
 """Which attempts a step gets, by the options of the coupling: what fails falls back to a multiplier that lags."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from coudalfish.sides.fluid import FluidSubproblem
@@ -35,9 +35,10 @@ class Lagged:
 
 
 UNUSED = (
-    "%s = %g has no effect: only plain fields are scaled near the surface, as the published algorithm's are,"
+    "{} = {:g} has no effect: only plain fields are scaled near the surface, as the published algorithm's are,"
     " Flow(..., immersed='plain')"
 )
+SUITED = "for Flow(..., immersed='jump') and 'jump and kink'"
 
 FALLBACK: dict[str, Any] = {
     "multiplier": "lagged",
@@ -50,13 +51,33 @@ FALLBACK: dict[str, Any] = {
 
 
 def usual(fluid: FluidSubproblem) -> CouplingOptions:
-    """The options of who names none.
+    """The options of who names none: those with which the flow's fields have been measured, see docs/defaults.md.
 
     Args:
         fluid: the flow.
     """
-    kinked = fluid.sides is not None and fluid.sides.is_kinked
-    return CouplingOptions.sharp() if kinked else CouplingOptions()
+    if fluid.sides is None:
+        return CouplingOptions()
+    if fluid.sides.is_kinked:
+        return CouplingOptions.sharp()
+    trace: Any = "exact" if fluid.mesh.geometry.dim == 2 else "nodes"  # surfaces in space have it whatever is chosen
+    return CouplingOptions.converged(trace=trace, fluid_tangent="consistent")
+
+
+def _unsuited(options: CouplingOptions, fluid: FluidSubproblem) -> Iterator[str]:
+    """What of the options does not suit the fields of the flow, and what does, see docs/defaults.md."""
+    sides = fluid.sides
+    if options.multiplier_direction == "vector" and (sides is None or not sides.is_kinked):
+        yield "multiplier_direction = 'vector' locks a velocity without a kink at the surface: 'normal' is advised"
+    if sides is None:
+        return
+    for name in ("scale_m", "scale_c"):
+        if (chosen := getattr(options, name)) != getattr(CouplingOptions, name):
+            yield UNUSED.format(name, chosen)
+    if options.multiplier == "lagged":
+        yield f"multiplier = 'lagged' moves and leaks as much as with plain fields: {SUITED} 'converged' is advised"
+    if options.trace == "nodes" and fluid.mesh.geometry.dim == 2:
+        yield f"trace = 'nodes' pushes the fluid beside the line of its jump: {SUITED} 'exact' is advised"
 
 
 def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubproblem) -> Sequence[Attempt]:
@@ -67,10 +88,8 @@ def attempts(options: CouplingOptions, fluid: FluidSubproblem, shell: ShellSubpr
         fluid: the flow.
         shell: the immersed structure.
     """
-    if fluid.sides is not None:
-        for name in ("scale_m", "scale_c"):
-            if (chosen := getattr(options, name)) != getattr(CouplingOptions, name):
-                log.warning(UNUSED, name, chosen)
+    for warning in _unsuited(options, fluid):
+        log.warning(warning)
     lagged = Lagged(smoothed=options.relaxation_mode == "smoothed" and options.relaxation > 0.0)
     if options.multiplier == "lagged":
         return (Attempt(lagged, options),)

@@ -140,7 +140,8 @@ class CouplingOptions:
     def converged(cls, **changes: Any) -> "CouplingOptions":
         """A multiplier that is converged in every step, with a penalty that knows neither the time step nor inertia.
 
-        Frequencies of light shells are right at any time step, and sheets do not leak.
+        Frequencies of light shells are right at any time step, and sheets do not leak. With ``fluid_tangent =
+        "consistent"``, in the plane also ``trace = "exact"``, for ``Flow(..., immersed="jump")``.
 
         Args:
             changes: other options.
