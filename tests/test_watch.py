@@ -20,6 +20,7 @@ from coudalfish import (
     ShellSubproblem,
     StepError,
 )
+from coudalfish.step.report import RejectedStepError
 from coudalfish.surface.exchange import VertexMeans
 from coudalfish.surface.slip import WINDOW, RelativeSlip, SlipWindow
 from shnapr.loads import inertia
@@ -125,6 +126,35 @@ def test_a_smaller_time_step_or_a_larger_penalty_mends_the_piston_as_the_warning
     assert not any("passed the shell" in text for text in warned())
 
 
+def across(points=32, dt=0.01, **options):
+    """A heavy sheet across a flow, coupled by a converged multiplier, after as many steps as slip is averaged over."""
+    scene = sheet_in_flow(
+        (1.0, 0.0), sheet_velocity=(0.0, 0.0), ends=((0.52, 0.25), (0.52, 0.75)), rho_s=1e6, dt=dt, mu=1e-3,
+        density_of_points=points, options=CouplingOptions.converged(**options),
+    )  # fmt: skip
+    for _ in range(WINDOW):
+        scene.fsi.takeStep()
+
+
+@pytest.mark.mpi
+def test_a_converged_multiplier_lets_fluid_pass_between_its_functions_and_does_not_lag(warned):
+    across(points=4)
+    texts = warned()
+    assert said(texts, "passed the shell with", "between the functions of the multiplier; reduce multiplier_size")
+    assert not any("lags" in text or "raise the penalty" in text or "slip ratio" in text for text in texts)
+
+
+@pytest.mark.parametrize("way", [dict(points=4, multiplier_size=1.5), dict(points=32)])
+def test_smaller_functions_or_a_finer_shell_let_less_pass_as_the_warning_says(warned, way):
+    across(**way)
+    assert not any("passed the shell" in text for text in warned())
+
+
+def test_a_smaller_time_step_does_not_help_a_converged_multiplier_as_the_warning_says(warned):
+    across(points=4, dt=0.001)
+    assert said(warned(), "passed the shell with", "a smaller dt does not help")
+
+
 @pytest.mark.mpi
 def test_a_pattern_of_the_multiplier_within_cells_is_no_slip(warned):
     """It exceeds the limit by far; the load of the same size that has one sign is warned of."""
@@ -195,6 +225,22 @@ def test_the_number_that_left_its_limit_first_is_suspect_and_not_what_a_divergin
     assert caught.value.suspect.startswith(first)
     symptom = "Courant number |u - u_mesh| dt/h (reduce dt) is not finite"
     assert caught.value.suspect.endswith(f", advised at most 0.3, since t = 0; then {symptom}")
+
+
+@pytest.mark.parametrize("multiplier", ["lagged", "converged"])
+def test_a_large_penalty_is_suspect_where_fluid_and_shell_are_solved_in_turn_alone(multiplier):
+    """Steps that solve for all at once take a pass with it, however large it is."""
+    scene = sheet_in_flow((0.3, 0.2), options=CouplingOptions(multiplier=multiplier, penalty=PenaltyRule(1e6, 0.0)))
+    report = scene.fsi.takeStep()
+    assert report.attempts == 1
+    assert report.passes <= 2 or multiplier == "lagged"
+    scene.g.value[0] = np.nan
+    step = scene.fsi.step()
+    with pytest.raises(RejectedStepError) as caught:
+        step.run()
+    suspect = step.failure(caught.value).suspect
+    assert suspect.startswith("penalty/impedance of the flow") == (multiplier == "lagged")
+    assert ("within limits" in suspect) == (multiplier == "converged")
 
 
 def test_a_number_that_came_back_within_its_limit_is_no_suspect():

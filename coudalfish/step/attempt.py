@@ -81,7 +81,7 @@ class Step:
     Attributes:
         block: where the attempt is, "mesh", "fluid", "shell" or "coupling".
         lam: multiplier that the step starts from, at its end that of the next one, shape (points,).
-        lag: share of the multiplier that is as the step before left it.
+        method: kind of the multiplier.
         positive: whether the shell's tangent leaves out what makes that of contact indefinite.
         multiplier: that of the step, once the points are placed.
     """
@@ -101,14 +101,14 @@ class Step:
         cautious: bool = False,
     ) -> None:
         self.fluid, self.shell, self.comm = fluid, shell, fluid.comm
-        self.method, self.lag, self.stays = attempt.method, attempt.method.lag, attempt.stays
+        self.method, self.stays = attempt.method, attempt.stays
         options = attempt.options
         self.options = replace(options, tangent_update="pass", accelerate_after=0) if cautious else options
         self.meets, self.locator, self.watch, self.cautious = meets, locator, watch, cautious
         self.lam, self.floors, self.beta = start.lam, start.floors, start.penalty
         self.anderson = Anderson(max(self.options.acceleration, 1))
         self.dt, self.block = fluid.timeInt.step_size, "coupling"
-        self.positive = cautious or (self.lag == 0.0 and shell.spline.nsd == 3)
+        self.positive = cautious or (self.method.lag == 0.0 and shell.spline.nsd == 3)
         self.acceptance = Acceptance(self.options)
         self.passes, self.linear_iterations, self.inactive, self.spacing = 0, 0, 0, 0.0
 
@@ -326,7 +326,7 @@ class Step:
 
     def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
         """What has been done so far."""
-        lagging = self.lag * float(np.abs(self.lam).max(initial=0.0))
+        lagging = self.method.lag * float(np.abs(self.lam).max(initial=0.0))
         return StepReport(
             t=self.fluid.timeInt.time + self.dt,
             t_alpha=float(self.fluid.timeInt.t_alpha.value),

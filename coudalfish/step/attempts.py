@@ -22,6 +22,7 @@ class Lagged:
     """
 
     lag = 1.0
+    gives_way = "the multiplier lags behind the load, and the shell moves too slowly; reduce dt or raise the penalty"
 
     def __init__(self, *, smoothed: bool) -> None:
         self._smoothed = smoothed

@@ -49,6 +49,10 @@ class Converged:
     """
 
     lag = 0.0
+    gives_way = (
+        "it does so between the functions of the multiplier; reduce multiplier_size, or refine the shell and the"
+        " fluid's mesh there; a smaller dt does not help"
+    )
 
     def __init__(self, fluid: FluidSubproblem, shell: ShellSubproblem, options: CouplingOptions) -> None:
         size, vector = options.multiplier_size * fluid.mesh_size, options.multiplier_direction == "vector"

@@ -119,11 +119,13 @@ class Method(Protocol):
     """A kind of multiplier, of one run.
 
     Attributes:
-        lag: share of it that is as the step before left it: a change of load by that much moves fluid through the
-            shell.
+        lag: share of it that is as the step before left it, while fluid and shell are solved in turn: a change of load
+            by that much moves fluid through the shell. 0: all are solved for at once.
+        gives_way: why fluid may pass the shell nevertheless, and what helps.
     """
 
     lag: float
+    gives_way: str
 
     def begin(self, step: Stepping) -> StepMultiplier:
         """The multiplier of a step whose points have been placed (collective)."""

@@ -14,6 +14,7 @@ from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.scales import directions, extent
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.acceptance import Acceptance
+from coudalfish.step.method import Method
 from coudalfish.step.report import StepReport
 from coudalfish.surface.exchange import VertexMeans, tractions
 from coudalfish.surface.slip import SHARE_OF_LOAD, WINDOW, SlipWindow, root_mean_square
@@ -68,7 +69,7 @@ class Watched(Protocol):
         dt: time step.
         beta: penalty.
         lam: multiplier, shape (points,).
-        lag: share of it that is as the step before left it.
+        method: kind of the multiplier.
         n: normals, shape (points, d).
         W: reference areas, zero at points outside the fluid, shape (points,).
         u: velocity of the fluid at the points, shape (points, d).
@@ -82,7 +83,7 @@ class Watched(Protocol):
     dt: float
     beta: float
     lam: FloatArray
-    lag: float
+    method: Method
     n: FloatArray
     W: FloatArray
     u: FloatArray
@@ -199,7 +200,7 @@ class Watch:
         h, dt, beta = self._fluid.mesh_size, step.dt, step.beta
         both = np.hstack([tractions(step.lam, step.n), step.u - step.y_dot])
         lam, slip = np.hsplit(VertexMeans(step.vertex_functions, step.W) @ both, 2)
-        ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * step.lag * dt / (beta * h)
+        ratio = float(np.linalg.norm(lam, axis=1).max(initial=0.0)) * step.method.lag * dt / (beta * h)
         moved = root_mean_square(step.W, step.y_dot)
         rest = self._rest(root_mean_square(step.W, lam), dt)
         now = self._slip.add(slip, step.n, step.W, max(speed, moved, rest))
@@ -219,12 +220,12 @@ class Watch:
         if found is not None and found.normal > NORMAL_SLIP_LIMIT:
             self.warn_once(
                 "normal slip",
-                "over %d steps the fluid passed the shell with %.2g of the speed (at most %g is advised): the "
-                "multiplier lags behind the load, and the shell moves too slowly; reduce dt or raise the penalty "
+                "over %d steps the fluid passed the shell with %.2g of the speed (at most %g is advised): %s "
                 "(beta = %.3g)",
                 WINDOW,
                 found.normal,
                 NORMAL_SLIP_LIMIT,
+                step.method.gives_way,
                 beta,
             )
         if found is not None and found.tangential > TANGENTIAL_SLIP_LIMIT:
@@ -282,21 +283,22 @@ class Watch:
 
     def _figures(self, step: Watched, speed: float) -> dict[str, Figure]:
         """Numbers that have limits, by name with the remedy."""
-        fluid, h = self._fluid, self._fluid.mesh_size
-        slip = float(np.abs(step.lam).max(initial=0.0)) * step.lag * step.dt / (step.beta * h)
+        fluid, h, lag = self._fluid, self._fluid.mesh_size, step.method.lag
+        slip = float(np.abs(step.lam).max(initial=0.0)) * lag * step.dt / (step.beta * h)
         figures = {
             "slip ratio lam dt/(beta h) (raise the penalty beta or reduce dt)": Figure(slip, SLIP_LIMIT),
             "Courant number |u - u_mesh| dt/h (reduce dt)": Figure(speed * step.dt / h, COURANT_LIMIT),
             "point spacing/h (refine the shell)": Figure(step.spacing / h, SPACING_LIMIT),
             "fraction of points outside the fluid mesh": Figure(step.inactive / len(step.lam), 0.5),
         }
+        # whether all converges that is solved for at once depends neither on the flow's own solver nor on the penalty
         if step.acceptance.limits[0] > 0.0:
-            leftover = fluid.linear_accuracy / step.acceptance.limits[0]
+            leftover = lag * fluid.linear_accuracy / step.acceptance.limits[0]
             figures["linear solver's residual/accepted residual (tighten its rtol)"] = Figure(leftover, 1.0)
         if fluid.viscosity is not None and fluid.density is not None:
             impedance = fluid.viscosity / h + fluid.density * h / step.dt
             name = "penalty/impedance of the flow, beta/(mu/h + rho h/dt) (lower the penalty beta)"
-            figures[name] = Figure(step.beta / impedance, PENALTY_LIMIT)
+            figures[name] = Figure(lag * step.beta / impedance, PENALTY_LIMIT)
         return figures
 
     def suspect(self, step: Watched) -> str:
@@ -312,8 +314,8 @@ class Watch:
             if figures[worst].excess > 1.0:
                 return most
             return (
-                f"penalty beta = {step.beta:.3g}; all other numbers are within limits, {worst} ="
-                f" {figures[worst].value:.3g} comes nearest"
+                f"all numbers are within limits, {worst} = {figures[worst].value:.3g} comes nearest; penalty beta ="
+                f" {step.beta:.3g}"
             )
         first = min(self._exceeded, key=lambda name: (self._exceeded[name][0], -self._exceeded[name][1].excess))
         since, figure = self._exceeded[first]
