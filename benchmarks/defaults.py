@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from load import load_demo
-from stability import duct, through_duct
+from stability_runs import through_duct
+from stability_scenes import duct
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from coudalfish.problems import manufactured as problem

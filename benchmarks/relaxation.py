@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from stability import duct, long_advance, through_duct
+from stability_runs import long_advance, through_duct
+from stability_scenes import duct
 
 from coudalfish import CouplingOptions
 from coudalfish.surface.trace import Location, PointLocator

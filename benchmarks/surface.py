@@ -1,7 +1,8 @@
 """What settings of the coupling and of the flow's fields do at an immersed surface: error, time and memory.
 
-The scenes are those of ``plane.py``. Every run is a process of its own, so that CPU seconds, without form compilation,
-and memory are its alone; within a table they may be compared, as the runs follow each other directly.
+The scenes are those of ``plane.py``, ``plane_swinging.py`` and ``plane_gaps.py``. Every run is a process of its own, so
+that CPU seconds, without form compilation, and memory are its alone; within a table they may be compared, as the runs
+follow each other directly.
 
 A setting is a preset of the coupling's options, ``plain`` (the options as they are), ``converged``, ``sharp`` and so
 on, with changes to them, ``plain(relaxation=0.2, penalty=(10, 0))``; ``immersed`` is that of the flow, plain but for
@@ -19,7 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plane import LOADED_ARC, Flag, Found, HeldSheet, Plate, Ring, Setting, Slit, String
+from plane import LOADED_ARC, Flag, HeldSheet, Ring
+from plane_gaps import Slit
+from plane_swinging import Plate, String
+from scene import IN_PLANE, Found, Setting
 
 from coudalfish import CouplingOptions, PenaltyRule, StepError
 from tigar_x.run import script
@@ -29,7 +33,6 @@ from varmint import FlowOptions
 JUMP = CouplingOptions.converged(fluid_tangent="consistent")
 IMMERSED = {"sharp": "jump and kink", "jump": "jump"}
 """What the flow's fields know of the surface, by presets for which they are not plain."""
-START = Setting()
 COSTS = ("leaked", "steps", "passes mean/max", "hard", "CPU ms/step", "MiB")
 Study = tuple[tuple[str, ...], dict[str, Any]]
 """Names of the figures that count, and scenes by name."""
@@ -81,7 +84,7 @@ PLACES = 20
 SHIFTED: dict[str, HeldSheet] = {"arc": HeldSheet(), "straight": HeldSheet(bow=0.0)}
 
 
-def setting_of(text: str, start: Setting = START) -> Setting:
+def setting_of(text: str, start: Setting = IN_PLANE) -> Setting:
     """A setting from text, see the module.
 
     Args:
@@ -110,7 +113,7 @@ def setting_of(text: str, start: Setting = START) -> Setting:
     return Setting(options, immersed, replace(start.flow, **of_flow))
 
 
-def measure(scene: Any, text: str, shifted: bool = False, start: Setting = START) -> dict[str, Any]:
+def measure(scene: Any, text: str, shifted: bool = False, start: Setting = IN_PLANE) -> dict[str, Any]:
     """Run a scene with a setting: its figures and costs, or why it failed."""
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     try:
@@ -154,7 +157,7 @@ def shifted_jobs(only: str) -> Iterator[Job]:
             yield "shifted", case, ("smallest", "largest", "ratio"), scene, True
 
 
-def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = START) -> None:
+def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = IN_PLANE) -> None:
     """Run scenes with settings; print a table for each study as Markdown, and write them all as CSV.
 
     Args:

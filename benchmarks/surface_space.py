@@ -1,12 +1,15 @@
 """What settings of the coupling and of the flow's fields do at an immersed surface in space: error, time and memory.
 
-The scenes are those of ``space.py``; settings and tables are those of ``surface.py``.
+The scenes are those of ``space.py`` and the modules that it names; settings and tables are those of ``surface.py``.
 """
 
 from dataclasses import replace
 from pathlib import Path
 
-from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface, Hole, Obstacle, Pair, Slit, Sphere
+from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface
+from space_bodies import Obstacle, Sphere
+from space_contact import Pair
+from space_gaps import Hole, Slit
 from surface import Study, jobs, tabulate
 
 from tigar_x.run import script

@@ -11,7 +11,9 @@ from mpi4py import MPI
 from dome import TIGHT, dome
 from load import load_demo
 from scenes import sheet_in_flow
-from space import IN_SPACE, HeldSurface, Obstacle, Pair, Sphere
+from space import IN_SPACE, HeldSurface
+from space_bodies import Obstacle, Sphere
+from space_contact import Pair
 from surface import setting_of
 
 from coudalfish import CouplingOptions

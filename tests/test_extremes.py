@@ -9,6 +9,10 @@ import csv
 import numpy as np
 import pytest
 import stability
+import stability_runs
+import stability_scenes
+
+from coudalfish import CouplingOptions
 
 
 def outcomes(name):
@@ -256,14 +260,14 @@ def test_the_table_has_a_row_for_every_value_and_shows_what_the_user_sees(tmp_pa
 
 def test_what_is_refused_and_what_stops_is_tabulated(monkeypatch):
     def refuse(value):
-        return stability.advance(stability.duct(mu=value).fsi, 1), {}
+        return stability_runs.advance(stability_scenes.duct(mu=value).fsi, 1), {}
 
     def stop(value):
-        options = stability.CouplingOptions(block_rtol=1e-15, block_atol=0.0, max_passes=value)
-        return stability.advance(stability.box(options).fsi, 1), {}
+        options = CouplingOptions(block_rtol=1e-15, block_atol=0.0, max_passes=value)
+        return stability_runs.advance(stability_scenes.box(options).fsi, 1), {}
 
-    monkeypatch.setitem(stability.CASES, "refusal", stability.Case("", (), (), refuse))
-    monkeypatch.setitem(stability.CASES, "failure", stability.Case("", (), (), stop))
+    monkeypatch.setitem(stability.CASES, "refusal", stability_runs.Case("", (), (), refuse))
+    monkeypatch.setitem(stability.CASES, "failure", stability_runs.Case("", (), (), stop))
     refused, stopped = stability.outcome("refusal", -1.0), stability.outcome("failure", 1)
     assert refused.result == "refused"
     assert "-1" in refused.message
@@ -274,7 +278,7 @@ def test_what_is_refused_and_what_stops_is_tabulated(monkeypatch):
 
 
 def test_a_state_that_is_not_finite_is_not_taken_for_a_result(monkeypatch):
-    scene = stability.box()
+    scene = stability_scenes.box()
     monkeypatch.setattr(scene.fsi, "takeStep", lambda: scene.fsi.lam.fill(np.nan))
     with pytest.raises(FloatingPointError, match="step 0 was accepted"):
-        stability.advance(scene.fsi, 1)
+        stability_runs.advance(scene.fsi, 1)

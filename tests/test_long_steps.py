@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from load import load_demo
-from plane import LOADED_ARC, HeldSheet, Plate, Ring, Slit, String
+from plane import LOADED_ARC, HeldSheet, Ring
+from plane_gaps import Slit
+from plane_swinging import Plate, String
 from surface import setting_of
 
 from coudalfish import CouplingOptions

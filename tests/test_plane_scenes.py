@@ -5,7 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane import DISCHARGE, LOADED_ARC, Flag, HeldSheet, Plate, Ring, Setting, Slit, String, damped_frequency
+from plane import LOADED_ARC, Flag, HeldSheet, Ring
+from plane_gaps import DISCHARGE, Slit
+from plane_swinging import Plate, String, damped_frequency
+from scene import Setting
 from surface import STUDIES, setting_of
 
 from coudalfish import CouplingOptions, PenaltyRule

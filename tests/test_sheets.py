@@ -7,7 +7,8 @@ import pytest
 import scipy.sparse as sp
 from mpi4py import MPI
 from scenes import sheet_in_flow
-from stability import duct, through_duct
+from stability_runs import through_duct
+from stability_scenes import duct
 
 from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState

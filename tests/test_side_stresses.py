@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane import HeldSheet, Setting
+from plane import HeldSheet
+from scene import Setting
 from space import IN_SPACE, HeldSurface
 from test_sided import membrane
 

@@ -1,26 +1,15 @@
-"""What the scenes in space of benchmarks/space.py say of the library, and what they are measured by."""
+"""What the scenes in space of benchmarks/space*.py say of the library, and what they are measured by."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from space import (
-    IN_SPACE,
-    SLOWED,
-    VALVE_NUMBERS,
-    Fence,
-    HeldSurface,
-    Hole,
-    Obstacle,
-    Pair,
-    Slit,
-    Sphere,
-    ball,
-    fitted_drag,
-    fitted_flow,
-    pressure_error,
-)
+from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface, pressure_error
+from space_bodies import Obstacle, Sphere, ball
+from space_contact import Pair
+from space_fitted import fitted_drag, fitted_flow
+from space_gaps import SLOWED, Hole, Slit
 from surface import setting_of
 from surface_space import STUDIES
 
