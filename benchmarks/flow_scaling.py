@@ -5,9 +5,6 @@ the lid's speed. Every run is a process of its own, or several of them; seconds 
 """
 
 import json
-import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -15,6 +12,7 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
+from load import on_ranks
 
 from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu, multigrid
 from tigar_x.run import script
@@ -118,14 +116,7 @@ def measure(dim: int, kind: str, recipe: str, n: int, steps: int) -> dict[str, A
 
 def run(ranks: int, *arguments: Any) -> dict[str, Any]:
     """The same in processes of its own."""
-    env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
-    env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-    command = [] if ranks == 1 else ["mpirun", "-n", str(ranks), "--oversubscribe"]
-    command += [sys.executable, str(HERE), "--worker", json.dumps(arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, env=env)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+    return dict(on_ranks(ranks, HERE, "--worker", json.dumps(arguments)))
 
 
 def growth(rows: list[dict[str, Any]]) -> list[list[Any]]:

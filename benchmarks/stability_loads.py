@@ -191,8 +191,9 @@ def ranks(n: int) -> tuple[Reports, Observed]:
 
 def errors_on(n: int) -> Observed:
     """Errors of the manufactured problem on n processes, with direct solves and tight block tolerances."""
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import json, stability_runs as s; "
-    code += "e = s.manufactured(2, s.TIGHT)[1]; print(json.dumps(e)) if not s.MPI.COMM_WORLD.rank else None"
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); from mpi4py import MPI; import json; "
+    code += "import stability_runs as s; e = s.manufactured(2, s.TIGHT)[1]; "
+    code += "print(json.dumps(e)) if not MPI.COMM_WORLD.rank else None"
     return dict(on_ranks(n, "-c", code))
 
 

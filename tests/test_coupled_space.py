@@ -20,6 +20,9 @@ from coudalfish import CouplingOptions
 from coudalfish.restart import CoupledState
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step import condensed
+from coudalfish.surface.boxes import Boxes
+from coudalfish.surface.covering import by_surfaces
+from coudalfish.surface.polygons import ZeroPoints
 from shnapr.contact import LinearKernel, SelfContact
 from tigar_x.fem.linear import SolveError
 from tigar_x.run.progress import rss_mib
@@ -79,6 +82,32 @@ def test_the_unknowns_of_a_step_are_where_newtons_method_ends():
         report = s.fsi.takeStep()
         first, second = (norms[0] for norms in report.residuals[:2])
         assert second < 2e-3 * first
+
+
+@pytest.mark.parametrize("place", [(Boxes, "nearest"), (by_surfaces, None), (ZeroPoints, "on")], ids=str)
+def test_what_fails_on_one_rank_while_a_surface_is_placed_fails_on_all(place, monkeypatch):
+    """The other ranks would wait for it in the sums over nodes that come next."""
+    s, (owner, name) = dome("jump", JUMP, n=2), place
+    s.fsi.takeStep()
+    before = s.flow.time.x.x.array.copy()
+
+    def fails(*arguments, **named):
+        raise MemoryError("no room")
+
+    def fails_on_the_last(*arguments, **named):
+        return (fails if MPI.COMM_WORLD.rank == MPI.COMM_WORLD.size - 1 else kept)(*arguments, **named)
+
+    with monkeypatch.context() as patch:
+        if name is None:
+            kept = by_surfaces
+            patch.setattr(s.fsi.fluid._dividing._enriching, "_covering", fails_on_the_last)
+        else:
+            kept = getattr(owner, name)
+            patch.setattr(owner, name, fails_on_the_last)
+        with pytest.raises(MemoryError, match="no room"):
+            s.fsi.takeStep()
+    np.testing.assert_array_equal(s.flow.time.x.x.array, before)
+    assert s.fsi.takeStep().attempts == 1
 
 
 def test_a_step_that_fails_falls_back_and_the_next_one_goes_on(monkeypatch):

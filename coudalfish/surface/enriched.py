@@ -21,7 +21,7 @@ from coudalfish.surface.cut_cells import CutCells
 from coudalfish.surface.interface import Interface, Nearest, Sought
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.polygons import ZeroSet, longest_edges
-from tigar_x import checks, compat
+from tigar_x import checks, compat, ranks
 from tigar_x.compat import FloatArray, IntArray
 
 DIVIDED = {2: 1e-5, 3: 1e-8}
@@ -195,7 +195,7 @@ class Enriching:
         if self._pockets is not None:
             phi = self._pockets.joined(phi, 2.0 * ON_LINE * self._largest)
         cut = CutCells.of(self.vertices, phi)
-        zero, real, covered = self._covered(cut, interface)
+        zero, real, covered = ranks.together(self._comm, lambda: self._covered(cut, interface))
         nodes, share = self.vertices[cut.cells], cut.negative_share[:, None]
         mine = np.where(real & (cut.cells < self.owned), 1.0, 0.0)[:, None]
         other = np.where(cut.values < 0.0, 1.0 - share, share)
@@ -243,12 +243,27 @@ class Enriching:
         neighbourhood of the one into that of the other most stay on one side, or have two sides where they cross a
         sheet or its continuation: two sheets in one cell are as good as one. The first one keeps its normals.
         """
+        near, phi, thin, votes = ranks.together(self._comm, lambda: self._voted(interface, films))
+        if interface.sheets < 2:
+            return phi, near
+        self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
+        turned = agreeing(votes + votes.T)
+        if thin is not None:
+            return thin.signed_distance(turned), near
+        nearest = near.sheet()
+        return np.where(nearest < 0, phi, turned[nearest] * phi), near
+
+    def _voted(
+        self, interface: Interface, films: FindFilms | None
+    ) -> tuple[Nearest, FloatArray, ThinFilms | None, FloatArray]:
+        """Nearest places, signed distances, films and what this rank's edges say of pairs of sheets."""
         far = REACH * self._of_neighbours
         ends, nearby = interface.near_ends(self.x, far), NEAR * self._of_nodes
         near = interface.nearest(self.x, Sought(self._every, nearby, self._tree), Sought(ends, far[ends]))
         phi, number = self._on_line(near.signed_distance()), interface.sheets
+        votes = np.zeros((number, number))
         if number < 2:
-            return phi, near
+            return near, phi, None, votes
         edges = self.vertices[: self.owned][:, self._edges].reshape(-1, 2)
         nearest = near.sheet()
         a, b = nearest[edges].T
@@ -260,15 +275,10 @@ class Enriching:
         a, b = nearest[edges].T
         negative = phi[edges] < 0.0
         apart = interface.crossed(self.x[edges[:, 0]], self.x[edges[:, 1]], far[edges].max(axis=1))
-        votes = np.zeros((number, number))
         np.add.at(votes, (a, b), np.where((negative[:, 0] != negative[:, 1]) == apart, several, -several))
         if thin is not None:
             votes += thin.wishes(number)
-        self._comm.Allreduce(MPI.IN_PLACE, votes, op=MPI.SUM)
-        turned = agreeing(votes + votes.T)
-        if thin is not None:
-            return thin.signed_distance(turned), near
-        return np.where(nearest < 0, phi, turned[nearest] * phi), near
+        return near, phi, thin, votes
 
     def _covered(self, cut: CutCells, interface: Interface) -> tuple[ZeroSet, Any, ZeroSet]:
         """Where the signed distance is zero, which cells a surface or its continuation cuts, and what it covers there.

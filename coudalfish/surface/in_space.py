@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from coudalfish.surface.boundary import net_in
 from coudalfish.surface.divided_mesh import DividedMesh
@@ -14,8 +15,10 @@ from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.net import Net
 from coudalfish.surface.on_polygons import OnPolygons
+from coudalfish.surface.polygons import ZeroPoints, ZeroSet
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
+from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
 QUADRATURE = 2
@@ -46,16 +49,22 @@ class DividedSpace(DividedMesh):
         self._films = None
         films = partial(self._films_of, surfaces, load)
         found = self._enriching(surfaces, meeting, v if self._kinked else None, films)
-        owned = found.zero.only(found.zero.cut.cells[found.zero.rows] < self._enriching.owned)
-        points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
-        areas, flat = surfaces.triangles.areas, surfaces.triangles.flat
-        stretch = np.divide(areas, at_rest, out=np.ones_like(areas), where=~flat)
-        hats, areas = points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells])
         whole, comm = meeting.W, self._space.mesh.comm
+        points, hats, areas = ranks.together(comm, lambda: self._seen(found.zero, surfaces, at_rest))
         on = OnPolygons.of(points, hats, net, areas, self._enriching.vertices, whole, meeting, comm)
         if not self._kinked:
             return found, on
         return found, KinkedMeeting.of(on, self._space, on.location, found.known / self._size, found.kink)
+
+    def _seen(
+        self, zero: ZeroSet, surfaces: Surfaces, at_rest: FloatArray
+    ) -> tuple[ZeroPoints, sp.csr_matrix, FloatArray]:
+        """Points on this rank's polygons, hat functions of the surface's points there, and areas at rest."""
+        owned = zero.only(zero.cut.cells[zero.rows] < self._enriching.owned)
+        points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
+        areas, flat = surfaces.triangles.areas, surfaces.triangles.flat
+        stretch = np.divide(areas, at_rest, out=np.ones_like(areas), where=~flat)
+        return points, *points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells])
 
     def _films_of(self, surfaces: Surfaces, load: Callable[[], FloatArray], *nodes: Any) -> Films:
         """See :class:`coudalfish.surface.films.Films`."""
