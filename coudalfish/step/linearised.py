@@ -135,11 +135,11 @@ class Preconditioner:
     fluid: PETSc.PC
 
     def __init__(self, at: Linearised) -> None:
-        self.at = at
-        G = at.G.toarray()
-        moved = at.moved(G)
-        self._forces = G - at.beta * at.W[:, None] * moved
-        S = at.G_t @ moved + WEAK / at.beta * (at.G_t @ at.H).toarray() + at.fluid.timeInt.x_factor * self._by_fluid()
+        self.at = self._made = at
+        loads = sp.csr_matrix(at.P_t @ at.G)
+        self._bent = at.solve_shell(loads.toarray())
+        S = at.a_s * (loads.T @ self._bent) + WEAK / at.beta * (at.G_t @ at.H).toarray()
+        S += at.fluid.timeInt.x_factor * self._by_fluid()
         S[at.idle, at.idle] = S.diagonal().max(initial=0.0) or 1.0
         if not np.isfinite(S).all() or not S.size:
             raise SolveError("the multiplier's system is not finite")
@@ -148,11 +148,12 @@ class Preconditioner:
     def _by_fluid(self) -> FloatArray:
         """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
         at, diagonal = self.at, self.at.fluid.diagonal()
+        forces = at.G.toarray() - self._drag(self._bent)
         if at.fluid.comm.size == 1:
             T, X, inverse = at.trace.B, at.X, at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
         else:
             T, X, inverse = self._from_all_ranks(diagonal)
-        C = (T.T @ self._forces.reshape(T.shape[0], -1)).reshape(inverse.size, self._forces.shape[1])
+        C = (T.T @ forces.reshape(T.shape[0], -1)).reshape(inverse.size, forces.shape[1])
         if X is not None:
             C = np.asarray(C + X)
         return np.asarray(C.T @ (inverse.ravel()[:, None] * C))
@@ -182,7 +183,12 @@ class Preconditioner:
     def multiplier(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Increment of the multiplier's coefficients, and its forces at the points."""
         b = -la.lu_solve(self._factors, r, check_finite=False) / self.at.beta
-        return b, self._forces @ b
+        return b, self._made.G @ b - self._drag(self._bent @ b)
+
+    def _drag(self, y: FloatArray) -> FloatArray:
+        """Forces of the penalty at the points where the shell moves by its coefficients, or by columns of them."""
+        at = self._made
+        return np.asarray((at.beta * at.a_s * (at.W * (at.P @ y).T)).T)
 
 
 def _factors(S: FloatArray) -> Any:

@@ -1,6 +1,6 @@
 """Systems on splines: ``M^T A M``, ``M^T b``. Increments are subtracted, as in :mod:`tigar_x.fem.solve`."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,6 +15,9 @@ from tigar_x.compat import FloatArray
 from tigar_x.fem import rounding
 from tigar_x.fem.extracted import Extracted
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen, direct
+
+if TYPE_CHECKING:
+    from tigar_x.fem.factors import Factors
 
 
 class SplineSystem:
@@ -75,7 +78,7 @@ class SplineSystem:
         compat.freed_with(self, *made)
         self._recipe = chosen(solver, direct(), prefix)
         self._solver: PreparedSolver | None = None
-        self._factors: Any = None
+        self._factors: Factors | None = None
         self.iterations = 0
 
     @property
@@ -257,15 +260,11 @@ class SplineSystem:
             SolveError: no tangent yet, or it is singular.
         """
         if self._factors is None:
-            from scipy.sparse.linalg import splu  # few systems are asked for this
+            from tigar_x.fem.factors import Factors  # few systems are asked for this
 
             indptr, columns, values = self.A.getValuesCSR()
-            try:
-                A = sp.csr_matrix((values, columns, indptr), shape=self.A.size).tocsc()
-                self._factors = splu(A, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-            except RuntimeError as error:
-                raise SolveError(f"tangent: {error}") from None
-        return np.asarray(self._factors.solve(load))
+            self._factors = Factors(sp.csr_matrix((values, columns, indptr), shape=self.A.size))
+        return self._factors.solve(load)
 
     def add(self, u: fem.Function, increment: PETSc.Vec, factor: float = 1.0) -> None:
         """Add ``factor * M increment`` to a function of ``space.V``, ghosts included."""
