@@ -246,13 +246,13 @@ class DoubledSystem(FiniteElementSystem):
     def _add_zeros(self) -> None:
         """Places for whatever couples unknowns of one cell that has second blocks, by a penalty at points as well."""
         cells = self._cell_nodes[: self._owned_cells]
-        cells = cells[self._is_double[cells].any(axis=1)]
-        blocks = np.hstack([cells, cells + self._nodes]).astype(PETSc.IntType)
-        k = blocks.shape[1]
-        columns = np.repeat(blocks, k, axis=0).ravel()
-        rows, starts = blocks.ravel(), np.arange(0, len(columns) + 1, k, dtype=PETSc.IntType)
-        values, add = np.zeros((len(columns), self._m, self._m)), PETSc.InsertMode.ADD_VALUES
-        self.A.setValuesBlockedLocalIJV(starts, columns, values, add, rowmap=rows)
+        at, compact = np.unique(cells[self._is_double[cells].any(axis=1)], return_inverse=True)
+        pattern = _pairs(compact.reshape(-1, cells.shape[1]), len(at))
+        both = (at[pattern.indices][:, None] + np.array([0, self._nodes])).ravel().astype(PETSc.IntType)
+        starts, add = (2 * pattern.indptr).astype(PETSc.IntType), PETSc.InsertMode.ADD_VALUES
+        values = np.zeros((len(both), self._m, self._m))
+        for rows in (at, at + self._nodes):
+            self.A.setValuesBlockedLocalIJV(starts, both, values, add, rowmap=rows.astype(PETSc.IntType))
 
     def _add_divided(self) -> None:
         """The tangent of divided cells, in the unknowns."""
