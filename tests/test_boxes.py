@@ -64,6 +64,19 @@ def test_no_triangle_is_missed(parts):
     np.testing.assert_allclose(places + near.gap, points[near.point], atol=1e-14)
 
 
+@pytest.mark.parametrize("parts", [1, 4])
+def test_points_within_a_limit_are_those_with_a_nearest_place(parts):
+    boxes = Boxes.around(bent(), parts)
+    points, limit = RNG.uniform(-0.3, 1.3, (400, 3)), RNG.uniform(-0.1, 0.5, 400)
+    near = boxes.nearest(points, limit)
+    limit[near.point[::2]] = near.distance[::2]
+    expected = np.zeros(400, dtype=bool)
+    expected[near.point] = True
+    np.testing.assert_array_equal(boxes.within(points, limit), expected)
+    assert 50 < expected.sum() < 350
+    assert not Boxes.around(np.empty((0, 3, 3))).within(points, limit).any()
+
+
 def test_all_that_are_equally_near_are_found():
     """More of them than there is room for at first."""
     angle = np.linspace(0.0, 2.0 * np.pi, 2 * ROOM + 1)

@@ -256,6 +256,46 @@ int64_t nearest(const tree *t, int64_t points, const double *at, const double *l
   return found;
 }
 
+/* A triangle, in the tree's order, within a limit of a point, -1: there is none; one may be known that is not far. */
+static int64_t one_within(const tree *t, const double *at, double limit, int64_t known) {
+  int64_t stack[DEPTH];
+  double inner[2], gap[3], distance;
+  const double bound = bounding(limit);
+  on_triangle(t->x + 9 * known, at, inner, gap, &distance);
+  if (distance <= limit)
+    return known;
+  int height = 1;
+  stack[0] = 0;
+  while (height > 0) {
+    const int64_t node = stack[--height], leaf = node - t->leaves + 1;
+    if (from_box(t->boxes + 6 * node, at) > bound)
+      continue;
+    if (leaf < 0) {
+      stack[height++] = 2 * node + 2;
+      stack[height++] = 2 * node + 1;
+      continue;
+    }
+    if (from_disc(t->discs + 8 * leaf, at) > bound)
+      continue;
+    for (int64_t k = t->first[leaf]; k < t->first[leaf + 1]; ++k) {
+      on_triangle(t->x + 9 * k, at, inner, gap, &distance);
+      if (distance <= limit)
+        return k;
+    }
+  }
+  return -1;
+}
+
+/* Whether there are triangles within a limit of each point. */
+void within(const tree *t, int64_t points, const double *at, const double *limit, int8_t *result) {
+  int64_t known = 0;
+  for (int64_t i = 0; i < points; ++i) {
+    const int64_t found = limit[i] >= 0.0 ? one_within(t, at + 3 * i, limit[i], known) : -1;
+    result[i] = found >= 0;
+    known = found >= 0 ? found : known;
+  }
+}
+
 static int beside(const double *box, const double *start, const double *end) {
   if (box[0] > box[3])
     return 1; /* it has nothing */

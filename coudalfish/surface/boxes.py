@@ -33,6 +33,7 @@ typedef struct {
 typedef struct { double share, size; } tolerance;
 void fit(const tree *);
 int64_t nearest(const tree *, int64_t, const double *, const double *, const tolerance *, places *);
+void within(const tree *, int64_t, const double *, const double *, int8_t *);
 int64_t pierced(const tree *, int64_t, const double *, const double *, int64_t, int64_t *, int64_t *);
 """
 
@@ -156,6 +157,19 @@ class Boxes:
         there.inner, there.gap, there.distance = map(_doubles, places[3:])
         tolerance = functions.ffi.new("tolerance *", (SAME_DISTANCE, self.size))
         return int(functions.lib.nearest(self._tree[0], len(x), _doubles(x), _doubles(limit), tolerance, there))
+
+    def within(self, x: FloatArray, limit: FloatArray) -> Any:
+        """Mask of points that are not farther than a limit.
+
+        Args:
+            x: points, shape (n, 3); unit: length.
+            limit: for each, negative where none is near, shape (n,).
+        """
+        x, limit, result = np.ascontiguousarray(x), np.ascontiguousarray(limit), np.zeros(len(x), dtype=np.int8)
+        if len(x) and len(self.order):
+            found = _functions().ffi.cast("int8_t *", result.ctypes.data)
+            _functions().lib.within(self._tree[0], len(x), _doubles(x), _doubles(limit), found)
+        return result > 0
 
     def pierced(self, start: FloatArray, end: FloatArray) -> tuple[IntArray, IntArray]:
         """Pairs of straight lines and triangles through which they pass, lines ascending.

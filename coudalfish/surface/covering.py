@@ -58,15 +58,13 @@ class WithEdges(Interface, Protocol):
     def nearest(self, x: FloatArray, *sought: Sought) -> NearestWithMargin:
         """Nearest places to points."""
 
-    def from_ends(self, x: FloatArray, reach: FloatArray) -> FloatArray:
-        """Distances of points from free edges, infinite where they are farther than a reach."""
-
 
 def by_surfaces(zero: ZeroSet, surfaces: WithEdges, sizes: FloatArray, covered: Any) -> ZeroSet:
     """By polygons that are cut at free edges, exactly where these are straight, see :class:`Covering`."""
     middles = zero.middles()
     radius = np.sqrt(((zero.places(zero.barycentric) - middles[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
-    at_end = surfaces.from_ends(middles, radius) <= radius
+    at_end = np.zeros(len(zero.rows), dtype=bool)
+    at_end[surfaces.near_ends(middles, radius)] = True
     clipped = _clipped(zero.only(at_end), surfaces, AROUND * sizes[at_end], 2.0 * radius[at_end])
     return zero.only(covered & ~at_end).joined(clipped)
 

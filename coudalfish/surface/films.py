@@ -84,21 +84,18 @@ class Films:
         self._films: list[Film] = []
         for k in range(surfaces.sheets):
             here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k))
-            alone, feet = surfaces.alone(k), x[here] - gap[here]
-            reach = (1.0 + ROUNDED) * FILM * sizes[here]
-            here = here[alone.nearest(feet, Sought(np.arange(len(here)), reach)).sheet() >= 0]
-            if not len(here):
+            alone, reach = surfaces.alone(k), FILM * sizes
+            here = here[alone.within(x[here] - gap[here], (1.0 + ROUNDED) * reach[here])]
+            other = alone.nearest(x[here], Sought(np.arange(len(here)), distances[here] + reach[here]))
+            away = gap[here] - other.gaps()
+            close = (other.sheet() >= 0) & (np.linalg.norm(away, axis=1) <= reach[here])
+            if not close.any():
                 continue
-            other = alone.nearest(x, Sought(here, distances[here] + FILM * sizes[here]))
-            gaps, distance, found = other.gaps(), other.signed_distance(), other.sheet()
-            here = here[found[here] >= 0]
-            away = gap[here] - gaps[here]
-            close = np.linalg.norm(away, axis=1) <= FILM * sizes[here]
-            here, away = here[close], away[close]
-            agree = np.einsum("ni,ni->n", first[here], other.normals()[here])
-            both = sp.csr_matrix(functions[here] + other.functions(continued=True)[here])
-            there = covered[here] & other.covered()[here]
-            self._films.append(Film(k, here, there, distance[here], agree, away, both))
+            here = here[close]
+            agree = np.einsum("ni,ni->n", first[here], other.normals()[close])
+            both = sp.csr_matrix(functions[here] + other.functions(continued=True)[close])
+            there = covered[here] & other.covered()[close]
+            self._films.append(Film(k, here, there, other.signed_distance()[close], agree, away[close], both))
 
     def past(self, edges: IntArray, nearest: IntArray) -> Any:
         """Mask of edges that neither begin nor end at a film between the sheets that are nearest to their ends.

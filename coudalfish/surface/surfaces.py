@@ -144,6 +144,10 @@ class Surfaces:
         away = np.cross(b - a, self.triangles.normals[triangle])
         return a, b, away / np.linalg.norm(away, axis=1)[:, None]
 
+    def within(self, x: FloatArray, reach: FloatArray) -> Any:
+        """Mask of points that are not farther than a reach, one for each, shape (m,); arguments as the others."""
+        return self._boxes.within(x, reach)
+
     def near_ends(self, x: FloatArray, reach: float | FloatArray) -> IntArray:
         """Those of some points that are not farther than a distance from an edge at which a surface ends, ascending.
 
@@ -153,7 +157,7 @@ class Surfaces:
             x: points, shape (m, 3); unit: length.
             reach: the distance, or one for each point; unit: length.
         """
-        return np.flatnonzero(self.from_ends(x, reach) <= reach)
+        return np.flatnonzero(self._free.within(x, np.broadcast_to(reach, len(x))))
 
     def from_ends(self, x: FloatArray, reach: float | FloatArray) -> FloatArray:
         """Distances of points from these edges, infinite where they are farther; arguments as in :meth:`near_ends`."""
