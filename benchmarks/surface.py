@@ -14,7 +14,7 @@ import ast
 import csv
 import logging
 import multiprocessing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -157,11 +157,30 @@ def shifted_jobs(only: str) -> Iterator[Job]:
             yield "shifted", case, ("smallest", "largest", "ratio"), scene, True
 
 
+def keep(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Put the rows of a case into a file of results, in the place of those that it has of the case.
+
+    Args:
+        path: of the file.
+        rows: of one study and case.
+    """
+    old: list[dict[str, Any]] = []
+    if path.exists():
+        with open(path, newline="") as file:
+            old = [row for row in csv.DictReader(file) if any(row[key] != rows[0][key] for key in ("study", "case"))]
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, ("study", "case", "setting", "name", "value"), lineterminator="\n")
+        writer.writeheader()
+        for row in (*old, *rows):
+            value = row["value"]
+            writer.writerow({**row, "value": f"{value:.6g}" if isinstance(value, float) else value})
+
+
 def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = IN_PLANE) -> None:
     """Run scenes with settings; print a table for each study as Markdown, and write them all as CSV.
 
     Args:
-        runs: what to run.
+        runs: what to run; other cases keep the results that the file has of them.
         settings: separated by semicolons, see the module.
         path: file of the results.
         start: see :func:`setting_of`.
@@ -170,13 +189,13 @@ def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = IN
     for text in chosen:
         setting_of(text, start)
     path.parent.mkdir(parents=True, exist_ok=True)
-    last, rows = "", []
+    last = ""
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for study, case, figures, scene, shifted in runs:
             if study != last:
                 header = ("case", "setting", *figures, *COSTS)
                 print(f"\n**{study}**\n\n| {' | '.join(header)} |\n|{' --- |' * len(header)}")
-            last = study
+            last, rows = study, []
             for text in chosen:
                 found = pool.apply(measure, (scene, text, shifted, start))
                 rows += [{"study": study, "case": case, "setting": text, "name": n, "value": found[n]} for n in found]
@@ -184,10 +203,7 @@ def tabulate(runs: Iterable[Job], settings: str, path: Path, start: Setting = IN
                 shown[-1] = found.get("failed", shown[-1])
                 cells = [f"{x:.3g}" if isinstance(x, float | np.floating) else str(x) for x in (case, text, *shown)]
                 print(f"| {' | '.join(cells)} |", flush=True)
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, ("study", "case", "setting", "name", "value"))
-        writer.writeheader()
-        writer.writerows(rows)
+            keep(path, rows)
     print(f"\nwritten: {path}")
 
 

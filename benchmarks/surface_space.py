@@ -10,6 +10,7 @@ from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface
 from space_bodies import Obstacle, Sphere
 from space_contact import Pair
 from space_gaps import Hole, Slit
+from space_membrane import Membrane
 from surface import Study, jobs, tabulate
 
 from tigar_x.run import script
@@ -19,7 +20,10 @@ AT_REST = ("velocity", "highest", "leak", "pressure", "load", "pattern", "iterat
 TILTED = HeldSurface(curved=0.0, slope=(0.31, 0.17))
 GAPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 IN_GAPS = ("flow", "leak", "change")
+ERRORS = ("L2_u", "H1_u", "L2_p", "L2_y", "H1_y")
 STUDIES: dict[str, Study] = {
+    "membrane, one layer": (ERRORS, {f"level {n}": Membrane(n) for n in (2, 3)}),
+    "membrane, curved": (ERRORS, {f"level {n}": Membrane(n, curved=True) for n in (1, 2, 3)}),
     "dome": (AT_REST, {f"n {n}": HeldSurface(n) for n in (8, 16, 24)}),
     "dome, jump": (AT_REST, {f"{jump:g}": HeldSurface(jump=jump, dt=jump**-0.5) for jump in JUMPS}),
     "dome, weak walls": (AT_REST, {f"n {n}": HeldSurface(n, weak=True) for n in (8, 16)}),
@@ -49,7 +53,8 @@ STUDIES: dict[str, Study] = {
     ),
     "obstacle": (
         ("drag", "change", "slip"),
-        {f"n {n}": Obstacle(n) for n in (8, 16)} | {f"n {n}, dt / 10": Obstacle(n, 0.01, before=0.1) for n in (8, 16)},
+        {f"n {n}": Obstacle(n) for n in (8, 12, 16)}
+        | {f"n {n}, dt / 10": Obstacle(n, 0.01, before=0.1) for n in (8, 12, 16)},
     ),
 }
 
