@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 from dolfinx import mesh
 
-from coudalfish.surface.boundary import boundary, net_in
+from coudalfish.surface.boundary import Attaching, boundary
 from coudalfish.surface.sheets import Sheets
 from tigar_x import compat
 from tigar_x.geometry import shapes
@@ -43,10 +43,29 @@ def plate(low, high):
 )
 def test_a_surface_is_attached_where_it_ends_on_walls_or_beyond_them(low, high, free):
     sheets = plate(low, high)
-    net = net_in(mesh.create_unit_cube(COMM, 5, 5, 5), sheets, 0.02)
+    net = Attaching(mesh.create_unit_cube(COMM, 5, 5, 5), sheets, 0.02)(sheets.X)
     along = sheets.X[:, 0]
     triangle, corner = net.ending(net.free)
     assert len(triangle) == sum(np.isclose(along, end).sum() - 1 for end in free)
     for k, opposite in zip(triangle, corner, strict=True):
         ends = np.delete(net.triangles[k], opposite)
         assert min(abs(along[ends] - end).max() for end in free) < 1e-12
+
+
+def test_edges_come_to_walls_and_leave_them_and_a_net_is_kept_while_they_do_not():
+    sheets = plate(0.3, 1.0)
+    attaching, moved = (
+        Attaching(mesh.create_unit_cube(COMM, 5, 5, 5), sheets, 0.02),
+        sheets.X + np.array([0.0, 0.0, 0.01]),
+    )
+    at_rest = attaching(sheets.X)
+    assert attaching(moved) is at_rest
+
+    def free(by):
+        net = attaching(sheets.X + np.array([by, 0.0, 0.0]))
+        return sorted({float(end) for end in sheets.X[net.edge_places[net.free]].mean(axis=1)[:, 0].round(9)})
+
+    assert free(0.0) == [0.3]
+    assert free(-0.1) == [0.3, 1.0]
+    assert free(-0.31) == [1.0]
+    np.testing.assert_array_equal(attaching(sheets.X).attached, at_rest.attached)

@@ -5,7 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface, pressure_error
+import ufl
+from mpi4py import MPI
+from plane import Coupled, immersed_flow, rigid, slit_flow
+from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface, pressure_error, rectangle
 from space_bodies import Obstacle, Sphere, ball
 from space_contact import Pair
 from space_fitted import fitted_drag, fitted_flow
@@ -14,8 +17,12 @@ from surface import setting_of
 from surface_space import STUDIES
 
 from coudalfish.surface.sheets import Sheets
+from tigar_x import compat, generalized_alpha
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline
+from varmint import Slip, Traction, box, flow_rate
+
+COMM = MPI.COMM_WORLD
 
 CONVERGED, JUMP = setting_of("converged", IN_SPACE), setting_of("jump", IN_SPACE)
 
@@ -55,6 +62,30 @@ def test_a_held_surface_and_a_pressure_that_jumps_are_in_equilibrium_to_rounding
     assert found.figures["pressure"] < (0.08 if surface.curved else 1e-5)  # plain fields: .2
     assert found.passes.max() == 1
     assert found.imbalance < 1e-12
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("per_cell", [0.5, 1.0, 2.0, 4.0])
+def test_every_point_of_a_held_surface_is_seen_however_fine_it_is(per_cell, monkeypatch):
+    """With few points on polygons half of the points had no area where there were eight along a cell."""
+    scene, met = HeldSurface(4, ramp=1, curved=0.0, slope=(0.31, 0.17), per_cell=per_cell).build(JUMP), []
+    place = scene.fsi.fluid.place
+    monkeypatch.setattr(scene.fsi.fluid, "place", lambda *given, **named: met.append(place(*given, **named)) or met[-1])
+    for _ in range(2):
+        scene.step()
+    x, W = scene.shell.positions, met[-1].W
+    assert (W[((x[:, :2] > 0.0) & (x[:, :2] < 1.0)).all(axis=1)] > 0.0).all()
+    inside = W[(np.abs(x[:, :2] - 0.5) < 0.25).all(axis=1)]  # functions that go on beyond walls have a part
+    assert np.abs(inside / inside.mean() - 1.0).max() < 0.9
+    assert W.sum() == pytest.approx(math.sqrt(1.0 + 0.31**2 + 0.17**2), rel=1e-12)
+    assert scene.fsi.fluid.speed() < 1e-8
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("per_cell", "warns"), [(8.0, False), (10.0, True)])
+def test_a_surface_that_is_finer_than_polygons_can_see_is_told_of(per_cell, warns, caplog):
+    HeldSurface(2, ramp=1, curved=0.0, per_cell=per_cell).build(JUMP).step()
+    assert ("does not act on all of them" in caplog.text) == (warns and COMM.rank == 0)
 
 
 def test_a_valve_that_closes_at_once_moves_nothing_with_a_jump():
@@ -129,6 +160,34 @@ def test_more_flows_through_a_wider_slit_and_nothing_through_the_plates():
     narrow, wide = (Slit(gap, n=8, steady=1e-2).run(CONVERGED) for gap in (2.0, 4.0))
     assert 0.2 < narrow.figures["flow"] < wide.figures["flow"] < 1.0
     assert max(abs(narrow.figures["leak"]), abs(wide.figures["leak"])) < 1e-6
+
+
+def past_an_edge(at_rest, now, n=8):
+    """What flows in a few steps past the edge of a plate that is such numbers of cells from a wall at rest and now."""
+    h = 1.0 / n
+    through = 0.5 * slit_flow(2.0 * h, 0.5)  # and its mirror image, one cell from the wall
+    sides = [Traction("left", (1.0, 0.0, 0.0)), Traction("right"), Slip(("bottom", "top", "back", "front"))]
+    known = {"rho": 1.0, "mu": 4.0 * through, "dt": h**2 / through, "scheme": generalized_alpha(0.0)}
+    flow = immersed_flow(box(COMM, (-1.0, 0.0, 0.0), (1.0, 1.0, h), (2 * n, n, 1)), sides, JUMP, **known)
+    corner, along = (0.37 * h, -0.3, -0.5 * h), (0.0, 1.3 - at_rest * h, 0.0)
+    plate = rectangle(corner, along, (0.0, 0.0, 2.0 * h), 0.5 * h, degree=1)
+    flow.start(pressure=lambda x, t: ufl.conditional(ufl.lt(x[0], corner[0]), 1.0, 0.0))
+    scene = Coupled(flow, rigid(plate), JUMP, multiplier=1.0)
+    for y in (scene.shell.time.x, scene.shell.time.x_old):
+        y.x.array[1::3] += (at_rest - now) * h
+    for _ in range(5):
+        scene.step()
+    (rate,) = compat.compile_forms(flow_rate(flow, "right"))
+    return COMM.allreduce(compat.assemble_scalar(rate)) / (through * h)
+
+
+@pytest.mark.mpi
+def test_edges_that_come_to_a_wall_are_tight_and_those_that_leave_it_are_passed():
+    """Decided where they rest, a thousandth would pass the one, and of what passes the other, a cell away, 4 %."""
+    assert abs(past_an_edge(1.5, 0.05)) < 1e-7
+    left, free = past_an_edge(0.0, 1.0), past_an_edge(1.5, 1.0)
+    assert free > 0.5
+    assert left == pytest.approx(free, rel=0.01)
 
 
 @pytest.mark.mpi

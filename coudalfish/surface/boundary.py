@@ -1,8 +1,10 @@
 """The boundary of a fluid in space, and where surfaces are attached to it.
 
 A surface ends freely only inside the fluid. Where it ends on a wall, or beyond it, it goes on as far as sides are
-concerned, and nothing flows around that edge.
+concerned, and nothing flows around that edge. Edges come to walls and leave them as the surface moves.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import mesh
@@ -13,7 +15,7 @@ from coudalfish.surface.net import OPPOSITE, Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat, ranks
-from tigar_x.compat import IntArray
+from tigar_x.compat import FloatArray, IntArray
 
 
 def boundary(domain: mesh.Mesh) -> Surfaces:
@@ -37,16 +39,26 @@ def boundary(domain: mesh.Mesh) -> Surfaces:
     return Surfaces(points.reshape(-1, 3)[first], Net(cells.reshape(-1, 3), np.arange(len(first))))
 
 
-def net_in(domain: mesh.Mesh, sheets: Sheets, reach: float) -> Net:
-    """How a shell hangs together that is attached to the boundary of a fluid where it is at rest (collective).
+class Attaching:
+    """How a shell hangs together that is attached to the boundary of a fluid where it is near that (collective).
 
     Args:
-        domain: the fluid's mesh.
+        domain: the fluid's mesh, which does not move.
         sheets: how the cells of the shell hang together.
         reach: distance from the boundary that counts as none; unit: length.
     """
-    walls, free = boundary(domain), Surfaces(sheets.X, Net.of(sheets))
-    return Net.of(sheets, ranks.agreed(domain.comm, lambda: attached(free, walls, reach)))
+
+    def __init__(self, domain: mesh.Mesh, sheets: Sheets, reach: float) -> None:
+        self._domain, self._walls, self._reach = domain, boundary(domain), reach
+        self._free = self._net = Net.of(sheets)
+
+    def __call__(self, x: FloatArray) -> Net:
+        """By the positions of its points, the same on every rank, shape (points, 3); unit: length (collective)."""
+        surface = Surfaces(x, self._free)
+        now = ranks.agreed(self._domain.comm, lambda: attached(surface, self._walls, self._reach))
+        if not np.array_equal(now, np.empty((0, 2)) if self._net.attached is None else self._net.attached):
+            self._net = replace(self._free, attached=now)
+        return self._net
 
 
 def attached(surface: Surfaces, walls: Surfaces, reach: float) -> IntArray:

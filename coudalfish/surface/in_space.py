@@ -1,5 +1,7 @@
 """How surfaces divide a flow in space, and where they see it: on the polygons on which the signed distance is zero."""
 
+import logging
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -7,13 +9,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from coudalfish.surface.boundary import net_in
+from coudalfish.surface.boundary import Attaching
 from coudalfish.surface.divided_mesh import DividedMesh
 from coudalfish.surface.enriched import Enrichment
 from coudalfish.surface.films import Films
+from coudalfish.surface.interface import Sought
 from coudalfish.surface.kinks import KinkedMeeting
 from coudalfish.surface.meeting import Meeting
-from coudalfish.surface.net import Net
 from coudalfish.surface.on_polygons import OnPolygons
 from coudalfish.surface.polygons import ZeroPoints, ZeroSet
 from coudalfish.surface.sheets import Sheets
@@ -21,31 +23,45 @@ from coudalfish.surface.surfaces import Surfaces
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
+log = logging.getLogger(__name__)
+
 QUADRATURE = 2
 """Degree of the polynomials that points on polygons integrate exactly: hat functions times velocities."""
 SMALL = 0.25
 """Edges of parts of polygons, in sizes of their cells, up to which one point suffices: kinks, quadratic, need more."""
+FEW = 4.2
+"""Longest edge of a part of a polygon, in distances of the surface's points, up to which its few points are as dense as
+every hat function needs, and half as long if it has one point. Where there are three points of the surface along the
+edge of a cube of cells, parts are shorter unless the surface is as oblique as the cells."""
+FINE = 3.0
+"""The same of what longer ones are divided into, so that hat functions have more alike."""
+MOST = 8
+"""Parts into which edges are divided at most: more are for points that meet, as at poles of patches."""
+UNSEEN = 0.1
+"""Share of a surface's area in which its points are too close to each other for that, before a warning."""
 BESIDE = 0.5
 """Distance of a polygon from the surface, in sizes of its cell, up to which it sees it."""
 ATTACHED = 0.1
-"""Distance from the boundary, in sizes of cells, within which an edge of a surface is attached to it."""
+"""Distance from the boundary, in sizes of cells, within which an edge of a surface is attached to it in a step."""
 
 
 class DividedSpace(DividedMesh):
     """A mesh of tetrahedra that surfaces divide, see :class:`coudalfish.sides.sided_fluid.Dividing`."""
 
-    _net: tuple[Sheets, Net, FloatArray] | None = None
+    _at_rest: tuple[Sheets, Attaching, FloatArray] | None = None
     _films: Films | None = None
 
     def __call__(
         self, meeting: Meeting, sheets: Sheets, x: FloatArray, v: FloatArray, load: Callable[[], FloatArray]
     ) -> tuple[Enrichment, Meeting]:
         """See there (collective)."""
-        if self._net is None or self._net[0] is not sheets:
-            net = net_in(self._space.mesh, sheets, ATTACHED * self._size)
-            self._net = sheets, net, Surfaces(sheets.X, net).triangles.areas
-        _, net, at_rest = self._net
-        surfaces = Surfaces(x, net)
+        if self._at_rest is None or self._at_rest[0] is not sheets:
+            attaching = Attaching(self._space.mesh, sheets, ATTACHED * self._size)
+            resting = Surfaces(sheets.X, attaching(sheets.X))
+            self._warn_of_close_points(resting)
+            self._at_rest = sheets, attaching, resting.triangles.areas
+        _, attaching, at_rest = self._at_rest
+        surfaces = Surfaces(x, net := attaching(x))
         self._films = None
         films = partial(self._films_of, surfaces, load)
         found = self._enriching(surfaces, meeting, v if self._kinked else None, films)
@@ -61,10 +77,35 @@ class DividedSpace(DividedMesh):
     ) -> tuple[ZeroPoints, sp.csr_matrix, FloatArray]:
         """Points on this rank's polygons, hat functions of the surface's points there, and areas at rest."""
         owned = zero.only(zero.cut.cells[zero.rows] < self._enriching.owned)
-        points = owned.quadrature(QUADRATURE, 0.0 if self._kinked else SMALL)
+        points = self._points_of(owned, surfaces)
         areas, flat = surfaces.triangles.areas, surfaces.triangles.flat
         stretch = np.divide(areas, at_rest, out=np.ones_like(areas), where=~flat)
         return points, *points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells])
+
+    def _warn_of_close_points(self, surfaces: Surfaces) -> None:
+        """Tell of a surface of which polygons do not see all points."""
+        close, areas = MOST * FINE * surfaces.spacings < math.sqrt(2.0) * self._size, surfaces.triangles.areas
+        if areas[close].sum() > UNSEEN * areas.sum() and self._space.mesh.comm.rank == 0:
+            log.warning(
+                "points of the shell are %.3g apart in %.2g of its area, %.3g times the fluid's cell size: the fluid "
+                "does not act on all of them (at least %.2g times is advised; use larger elements or refine the fluid)",
+                np.median(surfaces.spacings[close]),
+                areas[close].sum() / areas.sum(),
+                np.median(surfaces.spacings[close]) / self._size,
+                math.sqrt(2.0) / (MOST * FINE),
+            )
+
+    def _points_of(self, zero: ZeroSet, surfaces: Surfaces) -> ZeroPoints:
+        """Points on polygons, more of them where those of the surface are close to each other."""
+        small, spacings = 0.0 if self._kinked else SMALL, surfaces.spacings
+        needed = np.where(zero.small(small), 2.0, 1.0) * zero.lengths / FEW
+        if needed.max(initial=0.0) <= spacings.min(initial=np.inf):
+            return zero.quadrature(QUADRATURE, small)
+        middles, reach = zero.middles(), BESIDE * self._enriching.sizes[zero.cut.cells[zero.rows]]
+        found = surfaces.nearest(middles, Sought(np.arange(len(middles)), reach)).of_triangles(spacings)
+        there = np.where(found > 0.0, found, np.inf)
+        parts = np.where(needed > there, np.clip(np.ceil(zero.lengths / (FINE * there)), 1, MOST), 0)
+        return zero.finer(parts.astype(int), QUADRATURE, small)
 
     def _films_of(self, surfaces: Surfaces, load: Callable[[], FloatArray], *nodes: Any) -> Films:
         """See :class:`coudalfish.surface.films.Films`."""

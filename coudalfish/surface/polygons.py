@@ -3,8 +3,8 @@
 In a triangle it is a line, in a tetrahedron a triangle or a quadrilateral, which is made of two triangles.
 """
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,10 +118,30 @@ class ZeroSet:
             small: length of the longest edge of a simplex, relative to that of its cell, up to which it is small: it
                 has one point, with which linear functions are integrated exactly.
         """
-        of_cells, normals = longest_edges(self.corners)[self.rows], self.normals()
-        is_small = longest_edges(self.places(self.barycentric)) <= small * of_cells
+        is_small, normals = self.small(small), self.normals()
         parts = (self.only(chosen)._points(k, normals) for chosen, k in ((is_small, 1), (~is_small, degree)))
         return ZeroPoints(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def small(self, share: float) -> Any:
+        """Mask of the simplices whose longest edges are no longer than a share of those of their cells."""
+        return self.lengths <= share * longest_edges(self.corners)[self.rows]
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Of the longest edges of the simplices, shape (n,)."""
+        return longest_edges(self.places(self.barycentric))
+
+    def finer(self, parts: IntArray, degree: int, small: float) -> "ZeroPoints":
+        """Points as above, but more of them in some of the simplices, which come last.
+
+        Args:
+            parts: into which the edges of each are divided, none of which is small; 0: it is as above, shape (n,).
+            degree: see :meth:`quadrature`.
+            small: likewise.
+        """
+        found = [self.only(parts == 0).quadrature(degree, small)]
+        found += [self.only(parts == k).divided(int(k))[0].quadrature(degree) for k in np.unique(parts[parts > 0])]
+        return ZeroPoints(*(np.concatenate([getattr(points, f.name) for points in found]) for f in fields(ZeroPoints)))
 
     def _points(self, degree: int, normals: FloatArray) -> tuple[Any, ...]:
         """What :class:`ZeroPoints` are made of; normals in the cells, shape (cut, d)."""

@@ -45,6 +45,13 @@ class Surfaces:
         """Where they are."""
         return Triangles((self.net.functions @ self.x)[self.net.triangles])
 
+    @cached_property
+    def spacings(self) -> FloatArray:
+        """Mean distances of points in the cells to which triangles belong, shape (triangles,); unit: length."""
+        parts, areas = self.net.parts, self.triangles.areas
+        of_points = areas.reshape(-1, parts).sum(axis=1) * (2.0 if parts == 1 else 1.0)
+        return np.repeat(np.sqrt(of_points), parts)
+
     def normals(self, triangle: IntArray, kind: IntArray) -> FloatArray:
         """Unit normals of faces, edges and corners.
 
