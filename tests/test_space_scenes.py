@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ufl
-from mpi4py import MPI
-from plane import Coupled, immersed_flow, rigid, slit_flow
+from plane_gaps import slit_flow
+from scene import COMM, Coupled, immersed_flow, rigid
 from space import IN_SPACE, VALVE_NUMBERS, Fence, HeldSurface, pressure_error, rectangle
 from space_bodies import Obstacle, Sphere, ball
 from space_contact import Pair
@@ -21,8 +21,6 @@ from tigar_x import compat, generalized_alpha
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline
 from varmint import Slip, Traction, box, flow_rate
-
-COMM = MPI.COMM_WORLD
 
 CONVERGED, JUMP = setting_of("converged", IN_SPACE), setting_of("jump", IN_SPACE)
 
