@@ -19,7 +19,7 @@ from coudalfish.step.attempts import FALLBACK, attempts
 from coudalfish.step.functions import nearest_coefficients
 from coudalfish.surface.hats import hat_functions
 from coudalfish.surface.sheets import Sheets
-from tigar_x.fem.linear import SolveError, direct, gmres_ilu
+from tigar_x.fem.linear import PreparedSolver, SolveError, direct, gmres_ilu
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, periodic_knots
@@ -328,6 +328,44 @@ def test_factors_of_the_shell_s_tangent_serve_products_and_its_own_solution():
         np.testing.assert_allclose(found[-1], before, rtol=1e-9)
         np.testing.assert_array_equal(system.solve().array_r, found[-1])
     assert np.abs(found[1] - found[0]).max() > 1e-3 * np.abs(found[0]).max()
+
+
+def watched(monkeypatch):
+    """Whether a flow's preconditioner is kept, for every pass."""
+    kept, plain = [], PreparedSolver.preconditioner
+
+    def watching(self):
+        kept.append(self._keeps)
+        return plain(self)
+
+    monkeypatch.setattr(PreparedSolver, "preconditioner", watching)
+    return kept
+
+
+@pytest.mark.mpi
+def test_the_flow_s_preconditioner_is_kept_as_its_recipe_says(monkeypatch):
+    found = []
+    for recipe in (gmres_ilu(1), gmres_ilu(1, rebuild_growth=3.0)):
+        s, kept = in_flow(solver=recipe), watched(monkeypatch)
+        for _ in range(3):
+            s.fsi.takeStep()
+        assert kept[0] is False
+        assert all(kept[1:]) if recipe.rebuild_growth else not any(kept)
+        found.append(restarted.norms(s.fsi))
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+@pytest.mark.mpi
+def test_a_preconditioner_with_which_a_step_has_failed_is_not_kept(monkeypatch):
+    s = in_flow(solver=gmres_ilu(1, rebuild_growth=3.0))
+    s.fsi.takeStep()
+    solver = s.fsi.fluid.system._solver
+    assert solver._keeps
+    monkeypatch.setattr(condensed, "ITERATIONS", 1)
+    monkeypatch.setattr(PreparedSolver, "solve", lambda *_: 1 / 0)  # of the ways to take the step that are left
+    with pytest.raises(ZeroDivisionError):
+        s.fsi.takeStep()
+    assert not solver._keeps
 
 
 # -- what fails -------------------------------------------------------------------------------------------------------

@@ -232,6 +232,18 @@ class TestRebuild:
         assert min(kept) > 1
         assert max(kept) <= 4 * 1 + 2
 
+    @pytest.mark.parametrize("growth", [None, 4.0])
+    def test_the_same_for_another_solver_that_says_how_it_served(self, growth):
+        A = petsc_matrix(tridiagonal(0.0))
+        solver = PreparedSolver(gmres_ilu(0, rebuild_growth=growth), A)
+        (b, x), is_exact = ones(A), []
+        for shift, served in ((0.0, 1), (1.0, 6), (1.0, 7), (1.0, 1), (2.0, np.inf), (2.0, 1)):
+            petsc_matrix(tridiagonal(shift)).copy(A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            solver.preconditioner().apply(b, x)
+            is_exact.append(residual(A, b, x) < 1e-10 * b.norm())
+            solver.served(served)
+        assert is_exact == ([True] * 6 if growth is None else [True, False, False, True, False, True])
+
     def test_rebuilt_after_iterations_have_grown(self):
         first, grown, rebuilt, kept = self.iterations(4.0, [0.0, 10.0, 10.0, 10.0 + 1e-5])
         assert grown > 4 * first + 2

@@ -121,9 +121,12 @@ class CondensedSystem:
         try:
             self._ksp.solve(self._rhs, self._x)
         except PETSc.Error as error:
+            at.fluid.system.served(np.inf)
             raise SolveError(f"GMRES of flow and multiplier: PETSc: {error}") from None
         self.iterations, reason = self._ksp.getIterationNumber(), self._ksp.getConvergedReason()
-        if reason <= 0 or not np.isfinite(self._x.norm()):
+        failed = reason <= 0 or not np.isfinite(self._x.norm())
+        at.fluid.system.served(np.inf if failed else self.iterations)
+        if failed:
             raise SolveError(f"GMRES of flow and multiplier failed after {self.iterations} iterations ({reason})")
         x = self._x.array_r
         self.increment.array_w[:] = x[: self._n]

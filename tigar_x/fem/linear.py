@@ -270,7 +270,9 @@ class PreparedSolver:
                 thing.destroy()
 
     def preconditioner(self) -> PETSc.PC:
-        """The recipe's preconditioner, or its factors, for the matrix as it is, without its fallbacks (collective).
+        """The recipe's preconditioner, or its factors, without its fallbacks (collective).
+
+        It is that of the matrix as it is, or a former one while the recipe's ``rebuild_growth`` lets that serve.
 
         Raises:
             SolveError: PETSc could not make it.
@@ -280,14 +282,28 @@ class PreparedSolver:
             if self.recipe.ksp is not None:
                 _hand_over(ksp, operator)
             with self._table_of_options():
-                if self.recipe.ksp is None:
-                    self._pc.setReusePreconditioner(False)
+                if self.recipe.ksp is None or self.recipe.rebuild_growth is not None:
+                    self._pc.setReusePreconditioner(self._keeps)
                 self._pc.setUp()
                 self._pc.setUpOnBlocks()
         except PETSc.Error as error:
             self._discard()
+            self.served(math.inf)
             raise SolveError(f"{self.recipe.name}: no preconditioner (PETSc: {error})") from None
         return self._pc
+
+    @property
+    def _keeps(self) -> bool:
+        """Whether a preconditioner is kept that has been made for a former matrix."""
+        return self.recipe.rebuild_growth is not None and self._kept_iterations is not None
+
+    def served(self, iterations: float) -> None:
+        """Take note of the iterations of a solve with :meth:`preconditioner`, infinitely many if it failed."""
+        growth, before = self.recipe.rebuild_growth, self._kept_iterations
+        if math.isinf(iterations) or (growth is not None and before is not None and iterations > growth * before + 2):
+            self._kept_iterations = None
+        elif growth is None or before is None:
+            self._kept_iterations = int(iterations)
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.
@@ -303,18 +319,13 @@ class PreparedSolver:
         Raises:
             SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
         """
-        growth = self.recipe.rebuild_growth
-        keep = growth is not None and self._kept_iterations is not None
+        keep = self._keeps
         cause, iterations = self._attempt(b, x, reference, keep)
-        if keep and growth is not None and (cause or iterations > growth * (self._kept_iterations or 0) + 2):
-            self._kept_iterations = None
-            if cause:
-                return self.solve(b, x, reference)
-        elif not keep:
-            self._kept_iterations = iterations
+        self.served(math.inf if cause else iterations)
+        if keep and cause:
+            return self.solve(b, x, reference)
         if not cause:
             return max(iterations, 1)
-        self._kept_iterations = None
         self._discard()
         if self.recipe.fallback is None:
             raise SolveError(f"{self.recipe.name} failed after {iterations} iterations ({cause})")

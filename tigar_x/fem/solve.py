@@ -203,6 +203,10 @@ class FiniteElementSystem:
         """
         return self._solver.preconditioner()
 
+    def served(self, iterations: float) -> None:
+        """Take note of how many iterations a solve with that has taken, infinitely many if it failed."""
+        self._solver.served(iterations)
+
     @property
     def linear_rtol(self) -> float:
         """Reduction of the residual's norm at which the linear solver stops; 0 for a factorisation."""
