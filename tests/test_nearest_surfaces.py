@@ -243,3 +243,45 @@ def test_patches_that_are_parametrised_against_each_other_have_one_side():
     assert not surface.net.one_sided.any()
     ends = surface.net.at_corners(surface.net.ends)[surface.net.place]
     np.testing.assert_array_equal(ends, (np.abs(sheets.X[:, :2] - 0.5) > 0.5 - 1e-9).any(axis=1))
+
+
+# -- one sheet of several, and surfaces that have moved ---------------------------------------------------------------
+
+
+def waves(height, z, n=6):
+    return grid(n, lambda u, v: np.column_stack([u, v, z + height * np.sin(3.0 * u + 2.0 * v)]))
+
+
+def test_places_of_one_sheet_are_those_of_that_surface_alone():
+    patches, x = (waves(0.1, 0.0), waves(0.05, 0.3), waves(-0.1, 0.6)), RNG.uniform(-0.2, 1.2, (200, 3))
+    all_three, reach = surfaces(*patches), RNG.uniform(0.0, 0.5, 200)
+    sought = Sought(np.arange(200), reach)
+    for k, patch in enumerate(patches):
+        alone, found = surfaces(patch).nearest(x, sought), all_three.nearest(x, sought, sheet=k)
+        np.testing.assert_array_equal(found.signed_distance(), alone.signed_distance())
+        np.testing.assert_array_equal(found.normals(), alone.normals())
+        np.testing.assert_array_equal(found.covered(), alone.covered())
+        np.testing.assert_array_equal(found.sheet(), np.where(np.isfinite(alone.signed_distance()), k, -1))
+        np.testing.assert_array_equal(all_three.near_sheet(k, x, reach), alone.sheet() >= 0)
+        assert 20 < (alone.sheet() >= 0).sum() < 180
+
+
+def test_some_of_the_points_have_the_same_places():
+    surface, x = surfaces(waves(0.1, 0.0)), RNG.uniform(-0.2, 1.2, (100, 3))
+    whole, chosen = surface.nearest(x, Sought(np.arange(100), 0.4)), np.arange(3, 100, 4)
+    some = whole.of(chosen)
+    np.testing.assert_array_equal(some.signed_distance(), whole.signed_distance()[chosen])
+    for continued in (False, True):
+        difference = some.functions(continued=continued) - whole.functions(continued=continued)[chosen]
+        assert not difference.nnz or abs(difference).max() == 0.0
+    assert 5 < np.isfinite(some.signed_distance()).sum() < 25
+
+
+def test_boxes_of_a_surface_that_has_moved_are_in_the_order_of_that_at_rest():
+    rest, moved = waves(0.0, 0.0, 12), waves(0.4, 0.0, 12)
+    net = Net(rest[1], np.arange(len(rest[0])), rest=rest[0])
+    x, sought = RNG.uniform(-0.2, 1.2, (200, 3)), Sought(np.arange(200), 0.4)
+    kept, fresh = Surfaces(moved[0], net), surfaces(moved)
+    np.testing.assert_array_equal(kept._boxes.order, Surfaces(rest[0], net)._boxes.order)
+    for name in ("signed_distance", "normals", "covered"):
+        np.testing.assert_array_equal(*(getattr(surface.nearest(x, sought), name)() for surface in (kept, fresh)))

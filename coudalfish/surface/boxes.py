@@ -86,36 +86,39 @@ class Boxes:
         checks.freeze(self)
 
     @classmethod
-    def of(cls, triangles: Triangles, parts: int = 1) -> "Boxes":
+    def of(cls, triangles: Triangles, parts: int = 1, cells: IntArray | None = None) -> "Boxes":
         """Around triangles that have an area, of which some parts make a cell each.
 
         Args:
             triangles: cell by cell.
             parts: how many there are in each cell.
+            cells: in an order in which those that are close to each other are together; None: it is found.
         """
-        boxes, flat = cls.around(triangles.x, parts), triangles.flat
+        boxes, flat = cls.around(triangles.x, parts, cells), triangles.flat
         return cls(boxes.x, boxes.order[~flat[boxes.order]]) if flat.any() else boxes
 
     @classmethod
-    def around(cls, x: FloatArray, parts: int = 1) -> "Boxes":
+    def around(cls, x: FloatArray, parts: int = 1, cells: IntArray | None = None) -> "Boxes":
         """The same of all, which may be lines.
 
         Args:
             x: corners, shape (triangles, 3, 3); unit: length.
             parts: see above.
+            cells: likewise.
         """
-        middles = x.reshape(-1, 3 * parts, 3).mean(axis=1)
-        cells = cKDTree(middles, leafsize=max(1, LEAF // parts)).indices if len(middles) else np.arange(0)
-        order = (parts * cells[:, None] + np.arange(parts)).ravel()
-        return cls(x, order.astype(np.int64), parts)
+        if cells is None:
+            cells = neighbouring(x.reshape(-1, 3 * parts, 3).mean(axis=1))
+        return cls(x, (parts * cells[:, None] + np.arange(parts)).ravel().astype(np.int64), parts)
+
+    def only(self, chosen: Any) -> "Boxes":
+        """Around some of the triangles, by a mask, whole cells."""
+        return Boxes(self.x, self.order[chosen[self.order]], self.parts)
 
     @cached_property
     def _tree(self) -> Any:
         """What the functions in C take, and the arrays on which it rests."""
-        first = np.array([0, len(self.order) // self.parts])
-        while np.diff(first).max() > max(1, LEAF // self.parts):  # halves, as those of the tree that gave the order
-            first = np.append(np.column_stack([first[:-1], (first[:-1] + first[1:]) // 2]), first[-1])
-        first, leaves = self.parts * first, len(first) - 1
+        first = self.parts * _leaves(len(self.order) // self.parts, max(1, LEAF // self.parts))
+        leaves = len(first) - 1
         x, boxes, discs = self.x[self.order], np.empty((2 * leaves - 1, 2, 3)), np.empty((leaves, 8))
         tree = _functions().ffi.new("tree *")
         tree.leaves = leaves
@@ -188,6 +191,20 @@ class Boxes:
             if number >= 0:
                 return line[:number], triangle[:number]
             room *= 2
+
+
+def neighbouring(x: FloatArray) -> IntArray:
+    """An order of points in which those are together that are close to each other, shape (n, 3) -> (n,)."""
+    return np.asarray(cKDTree(x, leafsize=1).indices) if len(x) else np.arange(0)
+
+
+@cache
+def _leaves(cells: int, most: int) -> IntArray:
+    """First cells of the smallest boxes, and their number: halves of halves, as in the tree that gave the order."""
+    first = np.array([0, cells])
+    while np.diff(first).max() > most:
+        first = np.append(np.column_stack([first[:-1], (first[:-1] + first[1:]) // 2]), first[-1])
+    return checks.read_only(first)
 
 
 @cache

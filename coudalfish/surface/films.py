@@ -9,6 +9,7 @@ those of leaflets that close a valve, both sides have the same pressure, and the
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ class Film:
         distance: from the other sheet, with the sign of its own normals; unit: length.
         agree: product of the unit normals of both sheets.
         away: from the nearest place to that on the other sheet, shape (nodes, 3); unit: length.
-        both: from values at the points of the sheets to sums of those at both places, shape (nodes, points).
+        places: the nearest ones, and those on the other sheet.
     """
 
     other: int
@@ -51,7 +52,13 @@ class Film:
     distance: FloatArray
     agree: FloatArray
     away: FloatArray
-    both: sp.csr_matrix
+    places: tuple[NearestOnSurfaces, NearestOnSurfaces]
+
+    @cached_property
+    def both(self) -> sp.csr_matrix:
+        """From values at the points of the sheets to sums of those at both places, shape (nodes, points)."""
+        one, other = (near.functions(continued=True) for near in self.places)
+        return sp.csr_matrix(one + other)
 
 
 class Films:
@@ -80,22 +87,18 @@ class Films:
         self._comm, self._load, self._number, self._owned = comm, load, surfaces.sheets, owned
         self._sheet, self._phi = near.sheet(), near.signed_distance()
         gap, covered, first, distances = near.gaps(), near.covered(), near.normals(), near.distances()
-        functions = near.functions(continued=True)
         self._films: list[Film] = []
         for k in range(surfaces.sheets):
-            here = np.flatnonzero((self._sheet >= 0) & (self._sheet != k))
-            alone, reach = surfaces.alone(k), FILM * sizes
-            here = here[alone.within(x[here] - gap[here], (1.0 + ROUNDED) * reach[here])]
-            other = alone.nearest(x[here], Sought(np.arange(len(here)), distances[here] + reach[here]))
+            here, reach = np.flatnonzero((self._sheet >= 0) & (self._sheet != k)), FILM * sizes
+            here = here[surfaces.near_sheet(k, x[here] - gap[here], (1.0 + ROUNDED) * reach[here])]
+            sought = Sought(np.arange(len(here)), distances[here] + reach[here])
+            other = surfaces.nearest(x[here], sought, sheet=k)
             away = gap[here] - other.gaps()
-            close = (other.sheet() >= 0) & (np.linalg.norm(away, axis=1) <= reach[here])
-            if not close.any():
-                continue
-            here = here[close]
-            agree = np.einsum("ni,ni->n", first[here], other.normals()[close])
-            both = sp.csr_matrix(functions[here] + other.functions(continued=True)[close])
-            there = covered[here] & other.covered()[close]
-            self._films.append(Film(k, here, there, other.signed_distance()[close], agree, away[close], both))
+            close = np.flatnonzero((other.sheet() == k) & (np.linalg.norm(away, axis=1) <= reach[here]))
+            here, away, other = here[close], away[close], other.of(close)
+            agree = np.einsum("ni,ni->n", first[here], other.normals())
+            there, places = covered[here] & other.covered(), (near.of(here), other)
+            self._films.append(Film(k, here, there, other.signed_distance(), agree, away, places))
 
     def past(self, edges: IntArray, nearest: IntArray) -> Any:
         """Mask of edges that neither begin nor end at a film between the sheets that are nearest to their ends.
@@ -169,6 +172,8 @@ class Films:
         sums = np.zeros((2, self._number, self._number))
         for film in self._films:
             above = self._above(film) & (film.nodes < self._owned)
+            if not above.any():
+                continue
             here, work = self._sheet[film.nodes[above]], np.einsum("ni,ni->n", (film.both @ load), film.away)[above]
             for total, values in zip(sums, (work, np.abs(work)), strict=True):
                 total[:, film.other] += np.bincount(here, values, self._number)

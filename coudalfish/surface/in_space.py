@@ -99,12 +99,14 @@ class DividedSpace(DividedMesh):
         """Points on polygons, more of them where those of the surface are close to each other."""
         small, spacings = 0.0 if self._kinked else SMALL, surfaces.spacings
         needed = np.where(zero.small(small), 2.0, 1.0) * zero.lengths / FEW
-        if needed.max(initial=0.0) <= spacings.min(initial=np.inf):
+        long = np.flatnonzero(needed > spacings.min(initial=np.inf))
+        if not len(long):
             return zero.quadrature(QUADRATURE, small)
-        middles, reach = zero.middles(), BESIDE * self._enriching.sizes[zero.cut.cells[zero.rows]]
+        middles, reach = zero.only(long).middles(), BESIDE * self._enriching.sizes[zero.cut.cells[zero.rows[long]]]
         found = surfaces.nearest(middles, Sought(np.arange(len(middles)), reach)).of_triangles(spacings)
-        there = np.where(found > 0.0, found, np.inf)
-        parts = np.where(needed > there, np.clip(np.ceil(zero.lengths / (FINE * there)), 1, MOST), 0)
+        there, parts = np.where(found > 0.0, found, np.inf), np.zeros(len(needed))
+        fine = np.clip(np.ceil(zero.lengths[long] / (FINE * there)), 1, MOST)
+        parts[long] = np.where(needed[long] > there, fine, 0)
         return zero.finer(parts.astype(int), QUADRATURE, small)
 
     def _films_of(self, surfaces: Surfaces, load: Callable[[], FloatArray], *nodes: Any) -> Films:

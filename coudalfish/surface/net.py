@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from coudalfish.surface.boxes import neighbouring
 from coudalfish.surface.sheets import Sheets
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
@@ -30,11 +31,13 @@ class Net:
         place: number of the place of a point, the same for points that a joint unites, shape (points,).
         attached: places at the ends of edges at which the surface is attached to a wall, shape (edges, 2); None: at
             none.
+        rest: positions of the points at rest, shape (points, 3); None: they are not known; unit: length.
     """
 
     cells: IntArray
     place: IntArray
     attached: IntArray | None = None
+    rest: FloatArray | None = None
 
     def __post_init__(self) -> None:
         checks.freeze(self)
@@ -53,13 +56,13 @@ class Net:
         pairs = sheets.places[pairs[lengths <= COLLAPSED * lengths.max(initial=0.0)]]
         size = (int(sheets.places.max(initial=-1)) + 1,) * 2
         _, united = connected_components(sp.coo_matrix((np.ones(len(pairs)), pairs.T), shape=size), directed=False)
-        return cls(np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells), united[sheets.places], attached)
+        cells = np.where(turned[:, None], sheets.cells[:, ::-1], sheets.cells)
+        return cls(cells, united[sheets.places], attached, sheets.X)
 
     @cached_property
-    def alone(self) -> tuple["Net", ...]:
-        """The connected sheets, each by itself."""
-        sheet = self.sheet[:: self.parts]
-        return tuple(Net(self.cells[sheet == k], self.place, self.attached) for k in range(sheet.max(initial=-1) + 1))
+    def order(self) -> IntArray | None:
+        """Cells in an order in which those are together that are close to each other at rest; None: it is not known."""
+        return None if self.rest is None else neighbouring(self.rest[self.cells].mean(axis=1))
 
     @property
     def parts(self) -> int:
@@ -97,6 +100,12 @@ class Net:
         pairs = np.sort(self.corners[:, OPPOSITE], axis=-1).reshape(-1, 2)
         ends, edge = np.unique(pairs, axis=0, return_inverse=True)
         return ends, edge.reshape(-1, 3)
+
+    @cached_property
+    def numbers(self) -> IntArray:
+        """Of each triangle, its edges and its corners, the same for those that are the same, shape (triangles, 7)."""
+        n = len(self.triangles)
+        return np.column_stack([np.arange(n), n + self.edges, 4 * n + self.corners])
 
     @property
     def edge_places(self) -> IntArray:

@@ -3,7 +3,8 @@
 In a triangle it is a line, in a tetrahedron a triangle or a quadrilateral, which is made of two triangles.
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -118,8 +119,17 @@ class ZeroSet:
             small: length of the longest edge of a simplex, relative to that of its cell, up to which it is small: it
                 has one point, with which linear functions are integrated exactly.
         """
-        is_small, normals = self.small(small), self.normals()
-        parts = (self.only(chosen)._points(k, normals) for chosen, k in ((is_small, 1), (~is_small, degree)))
+        return self._joined(self._by_size(degree, small))
+
+    def _by_size(self, degree: int, small: float) -> list[tuple["ZeroSet", int]]:
+        """Small simplices and others, and the degrees with which they are integrated over."""
+        is_small = self.small(small)
+        return [(self.only(is_small), 1), (self.only(~is_small), degree)]
+
+    def _joined(self, groups: Sequence[tuple["ZeroSet", int]]) -> "ZeroPoints":
+        """Points of groups of simplices in the same cells, each with its degree."""
+        normals = self.normals()
+        parts = (group._points(degree, normals) for group, degree in groups)
         return ZeroPoints(*map(np.concatenate, zip(*parts, strict=True)))
 
     def small(self, share: float) -> Any:
@@ -139,9 +149,9 @@ class ZeroSet:
             degree: see :meth:`quadrature`.
             small: likewise.
         """
-        found = [self.only(parts == 0).quadrature(degree, small)]
-        found += [self.only(parts == k).divided(int(k))[0].quadrature(degree) for k in np.unique(parts[parts > 0])]
-        return ZeroPoints(*(np.concatenate([getattr(points, f.name) for points in found]) for f in fields(ZeroPoints)))
+        groups = self.only(parts == 0)._by_size(degree, small)
+        groups += [(self.only(parts == k).divided(int(k))[0], degree) for k in np.unique(parts[parts > 0])]
+        return self._joined(groups)
 
     def _points(self, degree: int, normals: FloatArray) -> tuple[Any, ...]:
         """What :class:`ZeroPoints` are made of; normals in the cells, shape (cut, d)."""

@@ -79,23 +79,25 @@ class Surfaces:
     @cached_property
     def _boxes(self) -> Boxes:
         """Around the triangles."""
-        return Boxes.of(self.triangles, self.net.parts)
+        return Boxes.of(self.triangles, self.net.parts, self.net.order)
 
-    def alone(self, k: int) -> "Surfaces":
-        """One of the connected surfaces."""
-        return Surfaces(self.x, self.net.alone[k])
+    @cached_property
+    def _of_sheets(self) -> tuple[Boxes, ...]:
+        """Around those of each connected surface."""
+        return tuple(self._boxes.only(self.net.sheet == k) for k in range(self.sheets))
 
-    def nearest(self, x: FloatArray, *sought: Sought) -> "NearestOnSurfaces":
+    def nearest(self, x: FloatArray, *sought: Sought, sheet: int | None = None) -> "NearestOnSurfaces":
         """Nearest places of the surfaces to points.
 
         Args:
             x: points, shape (m, 3); unit: length.
             sought: of which of them, at least one; of points that are sought twice the last reach counts.
+            sheet: of which connected surface; None: of all.
         """
         limit = np.full(len(x), -1.0)
         for one in sought:
             limit[one.points] = one.reach
-        near = self._boxes.nearest(x, limit)
+        near = (self._boxes if sheet is None else self._of_sheets[sheet]).nearest(x, limit)
         return NearestOnSurfaces(self, len(x), near.only(self._different(near)))
 
     def _different(self, near: NearPlaces) -> IntArray:
@@ -106,9 +108,7 @@ class Surfaces:
         several = np.flatnonzero(same[1:] | same[:-1])
         if not len(several):
             return order
-        net, n = self.net, len(self.net.triangles)
-        places = order[several]
-        numbers = np.column_stack([np.arange(n), n + net.edges, 4 * n + net.corners])
+        places, numbers = order[several], self.net.numbers
         keys = point[several] * (numbers.max() + 1) + numbers[near.triangle[places], near.kind[places]]
         kept = np.ones(len(order), dtype=bool)
         kept[several] = False
@@ -151,9 +151,9 @@ class Surfaces:
         away = np.cross(b - a, self.triangles.normals[triangle])
         return a, b, away / np.linalg.norm(away, axis=1)[:, None]
 
-    def within(self, x: FloatArray, reach: FloatArray) -> Any:
-        """Mask of points that are not farther than a reach, one for each, shape (m,); arguments as the others."""
-        return self._boxes.within(x, reach)
+    def near_sheet(self, k: int, x: FloatArray, reach: FloatArray) -> Any:
+        """Mask of points that are not farther from a connected surface than a reach, one for each, shape (m,)."""
+        return self._of_sheets[k].within(x, reach)
 
     def near_ends(self, x: FloatArray, reach: float | FloatArray) -> IntArray:
         """Those of some points that are not farther than a distance from an edge at which a surface ends, ascending.
@@ -196,6 +196,13 @@ class NearestOnSurfaces:
 
     def __post_init__(self) -> None:
         checks.freeze(self)
+
+    def of(self, points: IntArray) -> "NearestOnSurfaces":
+        """Those of some of the points, ascending."""
+        number = np.full(self.count, -1)
+        number[points] = np.arange(len(points))
+        places = self.places.only(number[self.places.point] >= 0)
+        return NearestOnSurfaces(self.surfaces, len(points), places._replace(point=number[places.point]))
 
     @cached_property
     def _first(self) -> IntArray:
