@@ -271,9 +271,9 @@ def test_some_of_the_points_have_the_same_places():
     whole, chosen = surface.nearest(x, Sought(np.arange(100), 0.4)), np.arange(3, 100, 4)
     some = whole.of(chosen)
     np.testing.assert_array_equal(some.signed_distance(), whole.signed_distance()[chosen])
-    for continued in (False, True):
-        difference = some.functions(continued=continued) - whole.functions(continued=continued)[chosen]
-        assert not difference.nnz or abs(difference).max() == 0.0
+    difference = some.functions() - whole.functions()[chosen]
+    assert not difference.nnz or abs(difference).max() == 0.0
+    np.testing.assert_array_equal(some.values(surface.x), whole.values(surface.x)[chosen])
     assert 5 < np.isfinite(some.signed_distance()).sum() < 25
 
 

@@ -57,6 +57,11 @@ class NearPlaces(NamedTuple):
     gap: FloatArray
     distance: FloatArray
 
+    @property
+    def barycentric(self) -> FloatArray:
+        """All three coordinates, shape (n, 3)."""
+        return np.column_stack([1.0 - self.inner.sum(axis=1), self.inner])
+
     @classmethod
     def room(cls, n: int) -> "NearPlaces":
         """For n places."""

@@ -264,8 +264,10 @@ class Enriching:
         votes = np.zeros((number, number))
         if number < 2:
             return near, phi, None, votes
-        edges = self.vertices[: self.owned][:, self._edges].reshape(-1, 2)
         nearest = near.sheet()
+        sheets = nearest[self.vertices[: self.owned]]
+        mixed = (sheets != sheets[:, :1]).any(axis=1)
+        edges = self.vertices[: self.owned][mixed][:, self._edges].reshape(-1, 2)
         a, b = nearest[edges].T
         between = (a != b) & (a >= 0) & (b >= 0)
         thin = None if films is None else films(self.x, near, self._of_nodes, self._owned_nodes)

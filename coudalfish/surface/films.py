@@ -9,11 +9,9 @@ those of leaflets that close a valve, both sides have the same pressure, and the
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from mpi4py import MPI
 
 from coudalfish.surface.interface import Sought
@@ -54,11 +52,17 @@ class Film:
     away: FloatArray
     places: tuple[NearestOnSurfaces, NearestOnSurfaces]
 
-    @cached_property
-    def both(self) -> sp.csr_matrix:
-        """From values at the points of the sheets to sums of those at both places, shape (nodes, points)."""
-        one, other = (near.functions(continued=True) for near in self.places)
-        return sp.csr_matrix(one + other)
+    def work(self, load: FloatArray) -> FloatArray:
+        """Work of forces per area at the points of the sheets on both that would move from the first one to the other.
+
+        Args:
+            load: shape (points, 3).
+
+        Returns:
+            At the nodes, shape (nodes,).
+        """
+        one, other = (near.values(load) for near in self.places)
+        return np.asarray(np.einsum("ni,ni->n", one + other, self.away))
 
 
 class Films:
@@ -141,7 +145,7 @@ class Films:
         """
         self._turned = turned
         result = np.where(self._sheet < 0, 1.0, turned[self._sheet]) * self._phi
-        pushed, _ = self._pushed(self._load)
+        self._at_first = pushed, _ = self._pushed(self._load)
         self._carries = (pushed < 0.0) | ((pushed == 0.0) & np.tri(self._number, dtype=bool))
         for film in self._films:
             carries = self._above(film) & self._carries[self._sheet[film.nodes], film.other]
@@ -154,7 +158,7 @@ class Films:
         Args:
             load: force per area, see above.
         """
-        (pushed, together), (before, all_before) = self._pushed(load), self._pushed(self._load)
+        (pushed, together), (before, all_before) = self._pushed(load), self._at_first
         clear = (np.abs(pushed) > ALIKE * together) & (np.abs(before) >= ALIKE * all_before)
         return not (((pushed < 0.0) != self._carries) & clear).any()
 
@@ -174,7 +178,7 @@ class Films:
             above = self._above(film) & (film.nodes < self._owned)
             if not above.any():
                 continue
-            here, work = self._sheet[film.nodes[above]], np.einsum("ni,ni->n", (film.both @ load), film.away)[above]
+            here, work = self._sheet[film.nodes[above]], film.work(load)[above]
             for total, values in zip(sums, (work, np.abs(work)), strict=True):
                 total[:, film.other] += np.bincount(here, values, self._number)
         self._comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)

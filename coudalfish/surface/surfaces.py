@@ -276,30 +276,22 @@ class NearestOnSurfaces:
         k, surfaces = self._first, self.surfaces
         normal = surfaces.triangles.normals[self.places.triangle[k]]
         along = self.places.gap[k] - np.einsum("pi,pi->p", self.places.gap[k], normal)[:, None] * normal
-        inner = np.column_stack([1.0 - self.places.inner[k].sum(axis=1), self.places.inner[k]])
+        inner = self.places.barycentric[k]
         feet = np.einsum("pc,pci->pi", inner, surfaces.triangles.x[self.places.triangle[k]])
         there = reach[self.places.point[k]]
         margin = np.minimum(surfaces.from_ends(feet, there), there)
         beyond = -np.sqrt(np.einsum("pi,pi->p", along, along))
         return self._spread(np.where(self._on(surfaces.net.free)[k], beyond, margin), -reach)
 
-    def functions(self, *, continued: bool = False) -> sp.csr_matrix:
+    def functions(self) -> sp.csr_matrix:
         """Hat functions of the points of the surfaces at the nearest places, the mean where several are equally near.
-
-        Args:
-            continued: whether they are those of what continues the surfaces behind edges at which they end.
 
         Returns:
             Shape (m, points of the surfaces), rows without entries where a point is farther.
         """
-        inner = np.column_stack([1.0 - self.places.inner.sum(axis=1), self.places.inner])
-        if continued:
-            k = np.flatnonzero(self._beyond)
-            corners = self.surfaces.triangles
-            x = np.einsum("pc,pci->pi", inner[k], corners.x[self.places.triangle[k]]) + self.places.gap[k]
-            inner[k] = corners.in_plane(x, self.places.triangle[k])
-        net, count = self.surfaces.net, np.bincount(self.places.point, minlength=self.count)
-        values = inner / count[self.places.point, None]
+        net, point = self.surfaces.net, self.places.point
+        count = np.bincount(point, minlength=self.count)
+        values = self.places.barycentric / count[point, None]
         entries = values.ravel(), net.triangles[self.places.triangle].ravel(), 3 * np.append(0, np.cumsum(count))
         return sp.csr_matrix(entries, shape=(self.count, net.functions.shape[0])) @ net.functions
 
@@ -314,7 +306,13 @@ class NearestOnSurfaces:
         Returns:
             Shape (m, k), zero where a point is farther.
         """
-        return np.asarray(self.functions(continued=True) @ of_points)
+        (net, places), k = (self.surfaces.net, self.places), np.flatnonzero(self._beyond)
+        inner, corners = places.barycentric, self.surfaces.triangles
+        x = np.einsum("pc,pci->pi", inner[k], corners.x[places.triangle[k]]) + places.gap[k]
+        inner[k] = corners.in_plane(x, places.triangle[k])
+        each = np.einsum("pc,pck->pk", inner, (net.functions @ of_points)[net.triangles[places.triangle]])
+        sums = np.stack([np.bincount(places.point, column, self.count) for column in each.T], axis=1)
+        return sums / np.maximum(np.bincount(places.point, minlength=self.count), 1)[:, None]
 
     def of_triangles(self, values: FloatArray) -> FloatArray:
         """Values of the nearest triangles, zero where a point is farther, shape (triangles,) -> (m,)."""
