@@ -53,6 +53,16 @@ def test_a_band_is_found_in_another_order():
     np.testing.assert_allclose(factors.solve(b), np.linalg.solve(A[order][:, order], b), rtol=1e-7)
 
 
+def test_a_band_may_have_gaps_as_where_a_shell_touches_itself():
+    """Sparse factors would reserve more memory than bands that are seven times as large as their entries."""
+    A, rng = banded(600, 100, 7) + 50.0 * np.eye(600), np.random.default_rng(8)
+    A[rng.random(A.shape) > 0.2] = 0.0
+    A[np.arange(600), np.arange(600)] = 50.0
+    factors, b = Factors(sp.csr_matrix(A)), np.arange(600.0)
+    assert kinds(factors)[-1] == "_Band"
+    np.testing.assert_allclose(factors.solve(b), np.linalg.solve(A, b), rtol=1e-9)
+
+
 @pytest.mark.parametrize(("width", "far"), [(2, 0), (16, 1)])
 def test_what_has_no_band_or_few_entries_gets_sparse_factors(width, far):
     A, rng = banded(300, width, 5) + 50.0 * np.eye(300), np.random.default_rng(6)

@@ -62,13 +62,19 @@ def test_a_held_surface_and_a_pressure_that_jumps_are_in_equilibrium_to_rounding
     assert found.imbalance < 1e-12
 
 
+def meetings(scene, monkeypatch):
+    """How the surface meets the fluid, step by step."""
+    met, place = [], scene.fsi.fluid.place
+    monkeypatch.setattr(scene.fsi.fluid, "place", lambda *given, **named: met.append(place(*given, **named)) or met[-1])
+    return met
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("per_cell", [0.5, 1.0, 2.0, 4.0])
 def test_every_point_of_a_held_surface_is_seen_however_fine_it_is(per_cell, monkeypatch):
     """With few points on polygons half of the points had no area where there were eight along a cell."""
-    scene, met = HeldSurface(4, ramp=1, curved=0.0, slope=(0.31, 0.17), per_cell=per_cell).build(JUMP), []
-    place = scene.fsi.fluid.place
-    monkeypatch.setattr(scene.fsi.fluid, "place", lambda *given, **named: met.append(place(*given, **named)) or met[-1])
+    scene = HeldSurface(4, ramp=1, curved=0.0, slope=(0.31, 0.17), per_cell=per_cell).build(JUMP)
+    met = meetings(scene, monkeypatch)
     for _ in range(2):
         scene.step()
     x, W = scene.shell.positions, met[-1].W
@@ -240,6 +246,20 @@ def test_two_plates_in_one_cell_hold_a_pressure_and_contact_holds_them_apart():
     scene.step()
     load = scene.reports[-1].contact.load
     assert load == pytest.approx(pair.jump, rel=0.15)  # less at the edges
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("apart", "slope"), [(0.1, (0.2, 0.13)), (0.05, (0.0, 0.0))])
+def test_the_plate_that_carries_the_jump_has_all_of_it_however_near_the_other_one_is(apart, slope, monkeypatch):
+    """Polygons half way between them were the other one's by two fifths."""
+    scene = Pair(apart, n=4, slope=slope).build(JUMP)
+    met = meetings(scene, monkeypatch)
+    for _ in range(2):
+        scene.step()
+    lower, upper = met[-1].W.reshape(2, -1).sum(axis=1)
+    assert lower == 0.0
+    assert upper == pytest.approx(math.sqrt(1.0 + slope[0] ** 2 + slope[1] ** 2), rel=2e-3)
+    assert abs(scene.reports[-1].monitors.force[2]) == pytest.approx(1e5, rel=1e-3)
 
 
 # -- a body in a stream -----------------------------------------------------------------------------------------------

@@ -76,7 +76,12 @@ class Films:
         near: their nearest places.
         sizes: of the cells around the nodes, shape (m,); unit: length.
         owned: number of the nodes that are this rank's, which are the first: sums are over those of all ranks.
+
+    Attributes:
+        carrying: number of the sheet from which the signed distance of each node is, -1: of none, shape (m,).
     """
+
+    carrying: IntArray
 
     def __init__(
         self,
@@ -143,13 +148,14 @@ class Films:
         Returns:
             Unit: length.
         """
-        self._turned = turned
+        self._turned, self.carrying = turned, self._sheet.copy()
         result = np.where(self._sheet < 0, 1.0, turned[self._sheet]) * self._phi
         self._at_first = pushed, _ = self._pushed(self._load)
         self._carries = (pushed < 0.0) | ((pushed == 0.0) & np.tri(self._number, dtype=bool))
         for film in self._films:
             carries = self._above(film) & self._carries[self._sheet[film.nodes], film.other]
             result[film.nodes[carries]] = turned[film.other] * film.distance[carries]
+            self.carrying[film.nodes[carries]] = film.other
         return result
 
     def suit(self, load: FloatArray) -> bool:

@@ -80,7 +80,11 @@ class DividedSpace(DividedMesh):
         points = self._points_of(owned, surfaces)
         areas, flat = surfaces.triangles.areas, surfaces.triangles.flat
         stretch = np.divide(areas, at_rest, out=np.ones_like(areas), where=~flat)
-        return points, *points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells])
+        sheet = None
+        if self._films is not None:  # polygons half way to another sheet are those of the one that carries the jump
+            of_nodes = self._films.carrying[self._enriching.vertices[points.cells]]
+            sheet = np.where((of_nodes == of_nodes[:, :1]).all(axis=1), of_nodes[:, 0], -1)
+        return points, *points.on(surfaces, stretch, BESIDE * self._enriching.sizes[points.cells], sheet)
 
     def _warn_of_close_points(self, surfaces: Surfaces) -> None:
         """Tell of a surface of which polygons do not see all points."""

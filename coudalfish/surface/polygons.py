@@ -185,7 +185,11 @@ class ZeroPoints:
         checks.freeze(self)
 
     def on(
-        self, surface: "Surfaces", stretch: FloatArray, reach: float | FloatArray
+        self,
+        surface: "Surfaces",
+        stretch: FloatArray,
+        reach: float | FloatArray,
+        sheet: IntArray | None = None,
     ) -> tuple[sp.csr_matrix, FloatArray]:
         """What of a surface the points stand for.
 
@@ -193,14 +197,28 @@ class ZeroPoints:
             surface: the surface.
             stretch: areas of its triangles relative to those at rest, shape (triangles,).
             reach: distance beyond which there is no surface, or one for each point; unit: length.
+            sheet: number of the connected surface whose points they are, if it is in reach; -1: of the nearest one,
+                shape (points,); None: as well.
 
         Returns:
             Hat functions of the surface's points at the nearest places, shape (points, surface's points), and areas at
             rest, shape (points,).
         """
+        reach = np.broadcast_to(reach, len(self.x))
         near = surface.nearest(self.x, Sought(np.arange(len(self.x)), reach))
-        ratio = near.of_triangles(1.0 / stretch)
-        return near.functions(), self.areas * ratio
+        hats, ratio = near.functions(), near.of_triangles(1.0 / stretch)
+        sheet = np.full(len(self.x), -1) if sheet is None else np.where(sheet == near.sheet(), -1, sheet)
+        for k in np.unique(sheet[sheet >= 0]):
+            here = np.flatnonzero(sheet == k)
+            own = surface.nearest(self.x[here], Sought(np.arange(len(here)), reach[here]), sheet=int(k))
+            found = np.flatnonzero(own.sheet() >= 0)
+            here, own = here[found], own.of(found)
+            kept, shape = np.ones(len(self.x)), (len(self.x), len(here))
+            kept[here] = 0.0
+            place = sp.csr_matrix((np.ones(len(here)), (here, np.arange(len(here)))), shape=shape)
+            hats = sp.csr_matrix(sp.diags(kept) @ hats + place @ own.functions())
+            ratio[here] = own.of_triangles(1.0 / stretch)
+        return hats, self.areas * ratio
 
 
 @cache
