@@ -309,14 +309,13 @@ class FluidSubproblem:
         """
 
         def add(A: PETSc.Mat) -> None:
+            K = penalty_tangent
+            row = np.repeat(np.arange(K.shape[0]), np.diff(K.indptr))
             for dofs, free in zip(self.trace_dofs[trace.nodes].T, self.free[trace.nodes].T, strict=True):
-                K = penalty_tangent
-                if not free.all():
-                    mask = sp.diags(free.astype(float))
-                    K = (mask @ K @ mask).tocsr()
+                data = K.data if free.all() else K.data * (free[row] * free[K.indices])
                 rows, columns = dofs.astype(PETSc.IntType), dofs[K.indices].astype(PETSc.IntType)
                 A.setValuesLocalIJV(
-                    K.indptr.astype(PETSc.IntType), columns, K.data, PETSc.InsertMode.ADD_VALUES, rowmap=rows
+                    K.indptr.astype(PETSc.IntType), columns, data, PETSc.InsertMode.ADD_VALUES, rowmap=rows
                 )
 
         self.system.assemble_tangent(add)

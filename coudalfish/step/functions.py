@@ -112,7 +112,8 @@ class Functions:
             acts: one at points at which they act, zero at those where nothing can move, shape (points,).
         """
         d = step.n.shape[1]
-        own = step.meeting.normal_forces(sp.diags(acts) @ self._sizes, self._signs[:, None] * step.n)
+        sizes = self._sizes if acts.all() else sp.csr_matrix(sp.diags(acts) @ self._sizes)
+        own = step.meeting.normal_forces(sizes, self._signs[:, None] * step.n)
         if own is not None and self.vector:
             H = sp.csr_matrix(sp.diags(np.repeat(acts, d)) @ self._along_and_across(step.n))
         else:
@@ -120,10 +121,10 @@ class Functions:
             spread = self._spread
             data = spread.data * factors.ravel()[self._rows]
             H = sp.csr_matrix((data, spread.indices, spread.indptr), shape=spread.shape)
+        if own is not None and not self.vector:
+            return Acting(H, own.at_points, own.beside)
         G = sp.csr_matrix(sp.diags(np.repeat(step.W, d)) @ H)
-        if own is None:
-            return Acting(H, G, None)
-        return Acting(H, *_with_own(G, own) if self.vector else (own.at_points, own.beside))
+        return Acting(H, G, None) if own is None else Acting(H, *_with_own(G, own))
 
     def _across(self, n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Two directions across the mean normal of each function, shape (functions, 3) each."""

@@ -65,12 +65,15 @@ class OnPolygons(Averaged):
         W = np.asarray(hats.T @ areas, dtype=np.float64)
         comm.Allreduce(MPI.IN_PLACE, W, op=MPI.SUM)
         W[TOUCHING * whole > W] = 0.0
-        seen, column = np.unique(nodes[points.cells], return_inverse=True)
-        starts = np.arange(0, column.size + 1, nodes.shape[1])
+        of_points = nodes[points.cells]
+        number = np.zeros(int(of_points.max(initial=-1)) + 1, dtype=bool)
+        number[of_points] = True
+        seen = np.flatnonzero(number)
+        column, starts = (np.cumsum(number) - 1)[of_points], np.arange(0, of_points.size + 1, nodes.shape[1])
         E = sp.csr_matrix((points.barycentric.ravel(), column.ravel(), starts), shape=(len(areas), len(seen)))
         location = Location(points.cells, points.barycentric, np.ones(len(areas), dtype=bool))
-        inverse = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0)
-        means = (sp.diags(inverse) @ hats.T @ sp.diags(areas)).tocsr()
+        inverse, means = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0), hats.T.tocsr()
+        means.data *= np.repeat(inverse, np.diff(means.indptr)) * areas[means.indices]
         return cls(W, location, (E, areas), seen, means, points.normals, hats, net, plain, comm)
 
     def vertex_functions(self) -> sp.csr_matrix:
@@ -87,7 +90,7 @@ class OnPolygons(Averaged):
             n: the surface's normals, which agree across joints, shape (points, d).
             trace: see :class:`coudalfish.surface.meeting.Meeting`.
         """
-        E = self.penalty[0] if trace is None else trace
+        E, B = (self.penalty[0], self.trace.B) if trace is None else (trace, self.means @ trace)
         d, acting = self.normals.shape[1], (self._sided(n) @ functions).tocsr()
         forces = self.penalty[1][:, None] * self.normals
         rows = np.repeat(np.arange(acting.shape[0]), np.diff(acting.indptr))
@@ -95,7 +98,7 @@ class OnPolygons(Averaged):
         entries = (acting.data[:, None] * forces[rows]).ravel(), columns.ravel(), d * acting.indptr
         each = sp.csr_matrix(entries, shape=(acting.shape[0], d * acting.shape[1]))
         at_points = self._of_all_ranks((self.hats.T.tocsr() @ each).tocsr())
-        beside = E.T.tocsr() @ (each - self.means.T.tocsr() @ at_points)
+        beside = E.T.tocsr() @ each - B.T.tocsr() @ at_points
         return NormalForces(_below(at_points, d), _below(beside, d))
 
     def _sided(self, n: FloatArray) -> sp.csr_matrix:
