@@ -124,7 +124,7 @@ def run(
 ) -> Outcome:
     """Run a case until it ends or a step fails for good; every tenth step is looked at for leaflets that cross."""
     dt = case.dt_factor * DT
-    scene = demo.Valve(resolution=resolution, leaflet_elements=ELEMENTS, dt=dt)
+    scene = demo.Valve(resolution=resolution, leaflet_elements=ELEMENTS, dt=dt, preset="plain")
     _, shell, fsi = scene.build(case.data, options)
     leaflets, outcome, watch = Leaflets(shell), Outcome(fsi, [], []), Stopwatch()
     for n in range(1, round(until / dt) + 1):

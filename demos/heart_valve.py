@@ -73,7 +73,8 @@ class Valve:
         waveform: of the traction at the inlet, the published step or a smooth pulse.
         outlet_resistance: pressure by flow rate at the outlet [dyn s/cm^5].
         dt: time step [s].
-        preset: published algorithm, or this library's with fields that are plain, jump, or jump and bend at leaflets.
+        preset: published algorithm, or this library's with fields that are plain, jump, or jump and bend at leaflets;
+            default: jump, or plain with a resistance, which has nothing else.
     """
 
     resolution: int = 16
@@ -84,13 +85,14 @@ class Valve:
     waveform: Literal["step", "pulse"] = "step"
     outlet_resistance: float = 0.0
     dt: float = 5e-5
-    preset: Literal["reference", "plain", "jump", "sharp"] = "plain"
+    preset: Literal["reference", "plain", "jump", "sharp"] | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("resolution", 4), ("leaflet_elements", 0), ("degree", 2)):
             checks.whole(name, getattr(self, name), least)
         checks.within("grading", self.grading, 1.0, 10.0)
         checks.not_negative("outlet_resistance", self.outlet_resistance)
+        vars(self).update(preset=self.preset or ("plain" if self.outlet_resistance else "jump"))
 
     def build(self, data: Data, options: CouplingOptions | None = None) -> tuple[Flow, Shell, CouDALFISh]:
         """Blood and leaflets at rest, and both coupled."""

@@ -61,12 +61,12 @@ def main(
     Args:
         dim: dimension of space, 2 or 3 (one layer).
         level: refinement level: 3 * 2^level fluid cells per side, 2^(level + 3) membrane elements.
-        preset: published, plain fields, a pressure that jumps, or, by default in the plane, sharp fields on both sides.
+        preset: published, plain fields, a pressure that jumps, as in space by default, or, in the plane, sharp fields.
         curved: whether the membrane is curved and moves differently everywhere, across a cube (dim = 3).
         dt_factor: time step relative to the published one, T/(2 N).
         initial_velocity: of the membrane, projected as published (default of the reference) or interpolated.
     """
-    data, out, preset = problem.data_of(dim, curved=curved), results.out, preset or ("sharp" if dim == 2 else "plain")
+    data, out, preset = problem.data_of(dim, curved=curved), results.out, preset or ("sharp" if dim == 2 else "jump")
     steps = max(1, round(2 * problem.cells_per_side(level) / checks.positive("dt_factor", dt_factor)))
     start = initial_velocity or ("projected" if preset == "reference" else "interpolated")
     presets = {"reference": CouplingOptions.reference, "plain": CouplingOptions, "sharp": CouplingOptions.sharp}

@@ -304,6 +304,15 @@ def test_a_flow_has_the_best_fields_that_it_can_have():
     assert plain.scales is not None
 
 
+def test_in_space_the_pressure_jumps_by_default_on_tetrahedra_alone():
+    for cell, immersed in (("tetrahedron", "jump"), ("hexahedron", None)):
+        mesh = box(WORLD, (0.0,) * 3, (1.0,) * 3, (2,) * 3, cell)
+        sides = [Velocity(("left", "bottom", "top", "front", "back")), Traction("right")]
+        flow = Flow(mesh, sides, rho=1.0, mu=0.1, dt=DT, immersed=True)
+        assert (flow.sides is not None) == (immersed == "jump")
+        assert flow.sides is None or not flow.sides.is_kinked
+
+
 def with_a_solid():
     """A beam, with which the fluid's mesh moves."""
     given = {"mesh": beam_mesh(), "scheme": backward_euler()}

@@ -54,7 +54,13 @@ def test_the_scene_at_rest(valve):
     assert shell.piercings() == 0
     assert sum(fsi.shell.quadrature.weights) == pytest.approx(3 * 2.040, rel=5e-3)
     assert flow.options.solver.name.startswith("gmres")
-    assert fsi.options == CouplingOptions()
+    assert fsi.options == CouplingOptions.converged(fluid_tangent="consistent")
+
+
+def test_the_pressure_jumps_unless_there_is_a_resistance_or_somebody_says():
+    assert demo.Valve().preset == "jump"
+    assert demo.Valve(outlet_resistance=50.0).preset == "plain"
+    assert demo.Valve(preset="sharp").preset == "sharp"
 
 
 def test_range_of_contact_suits_the_points(valve):

@@ -145,7 +145,7 @@ def fields_at_surface(
     moving: Any,
     solid: Any,
 ) -> str | None:
-    """What the fields of a flow know of a surface that is immersed in it: the best that the flow can have by default.
+    """What the fields of a flow know of a surface that is immersed in it: by default what docs/defaults.md chooses.
 
     Args:
         immersed: True, or one of ``AT_SURFACE``; False: there is no surface.
@@ -181,8 +181,6 @@ def fields_at_surface(
     if missing:
         log.info("fields at an immersed surface are 'plain': for others, %s is required", missing)
         return "plain"
-    if mesh.domain.geometry.dim == 3:
-        log.info("fields at an immersed surface are 'plain' in space")
-        return "plain"
-    log.info("fields at an immersed surface are 'jump and kink'")
-    return "jump and kink"
+    best = "jump" if mesh.domain.geometry.dim == 3 else "jump and kink"
+    log.info("fields at an immersed surface are '%s'", best)
+    return best

@@ -65,9 +65,9 @@ class Flow(checks.Made):
         solid: elastic solid in some cells of the mesh, which ``moving`` has to leave out; None: fluid alone.
         immersed: whether a surface may be immersed in the flow, with the best fields that the flow can have; or which:
             "jump and kink" if pressure and velocity gradient differ on both sides (of degree 1 on triangles or
-            tetrahedra whose mesh does not move, without a solid and Resistance), the best in the plane; "jump" if the
-            pressure does; "plain" if the equations have factors of the stabilisation parameters near the surface
-            instead, the default in space.
+            tetrahedra whose mesh does not move, without a solid and Resistance), the default in the plane; "jump" if
+            the pressure does, the default in space; "plain" if the equations have factors of the stabilisation
+            parameters near the surface instead, the default of other flows.
         options: see there.
 
     Attributes:
