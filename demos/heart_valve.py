@@ -73,8 +73,7 @@ class Valve:
         waveform: of the traction at the inlet, the published step or a smooth pulse.
         outlet_resistance: pressure by flow rate at the outlet [dyn s/cm^5].
         dt: time step [s].
-        preset: published algorithm, or this library's with fields that are plain, jump, or jump and bend at leaflets;
-            default: jump, or plain with a resistance, which has nothing else.
+        preset: published algorithm, or plain fields (default with a resistance), that jump (else), or jump and bend.
     """
 
     resolution: int = 16
