@@ -44,7 +44,7 @@ def test_demo_at_toy_size(name, tmp_path):
     assert written.get("errors") or written.get("qoi")
     assert all(value > 0.0 for value in written.get("errors", {}).values())
     for path in tmp_path.glob("*.vtkhdf"):
-        sharp = written["inputs"].get("preset") == "sharp"
+        sharp = written["inputs"].get("preset") in ("jump", "sharp")
         times = [t for t, *_ in (read_vtkhdf_meshes(path) if sharp else read_vtkhdf(path)[2])]
         assert times
         assert times == sorted(set(times))
