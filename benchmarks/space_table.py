@@ -155,10 +155,11 @@ def valve_row(path: Path, cells: int, dt: float) -> list[str]:
         if not row.get("error_flow"):
             return "-"
         ratio = f"{float(row['cpu_s']) / float(plain['cpu_s']):.1f}" if plain.get("cpu_s") else "-"
-        leak = short(abs(float(row["leak"]))) if row.get("leak") else "-"
-        return f"{short(float(row['error_flow']))}; {leak} ({ratio}, -)"
+        area = short(abs(float(row["last_opening"])))
+        return f"{short(float(row['error_flow']))}; {area} ({ratio}, -)"
 
-    return [f"heart valve, {cells:,} cells, dt {dt:g}", "flow, rms error; leak [cm^3/s]", *map(cell, SETTINGS)]
+    judged = "flow, rms error [cm^3/s]; area that stays open [cm^2]"
+    return [f"heart valve, {cells:,} cells, dt {dt:g}", judged, *map(cell, SETTINGS)]
 
 
 def table(results: Results, valve: list[str]) -> str:

@@ -65,16 +65,16 @@ def test_results_of_a_case_take_the_place_of_older_ones_alone(tmp_path):
 def test_the_heart_valve_has_a_row_where_it_has_been_run(tmp_path):
     path = tmp_path / "valve.csv"
     assert set(valve_row(path, 8409, 1e-4)[2:]) == {"-"}
-    names = ("preset", "cells", "dt", "reversal", "error_flow", "leak", "cpu_s")
+    names = ("preset", "cells", "dt", "reversal", "error_flow", "last_opening", "cpu_s")
     rows = [
         ("plain", 8409, 1e-4, 0.02, 112.0, 5.0, 78.0),
-        ("jump", 8409, 1e-4, 0.02, 12.6, "", 156.0),
+        ("jump", 8409, 1e-4, 0.02, 12.6, 0.163, 156.0),
         ("jump", 8409, 1e-4, 0.0, 1.0, 1.0, 1.0),
         ("sharp", 8409, 5e-5, 0.02, 1.0, 1.0, 1.0),
     ]
     with open(path, "w", newline="") as file:
         csv.writer(file).writerows([names, *rows])
-    assert valve_row(path, 8409, 1e-4)[2:] == ["112; 5 (1.0, -)", "-", "13; - (2.0, -)", "-"]
+    assert valve_row(path, 8409, 1e-4)[2:] == ["112; 5 (1.0, -)", "-", "13; 0.16 (2.0, -)", "-"]
     assert table({}, valve_row(path, 8409, 1e-4)).splitlines()[-3].startswith("| heart valve, 8,409 cells")
 
 
