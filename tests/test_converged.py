@@ -16,10 +16,11 @@ from coudalfish import CouDALFISh, CouplingOptions, PenaltyRule, StepError
 from coudalfish.restart import CoupledState
 from coudalfish.step import condensed
 from coudalfish.step.attempts import FALLBACK, attempts
+from coudalfish.step.converged import Converged
 from coudalfish.step.functions import nearest_coefficients
 from coudalfish.surface.hats import hat_functions
 from coudalfish.surface.sheets import Sheets
-from tigar_x.fem.linear import PreparedSolver, SolveError, direct, gmres_ilu
+from tigar_x.fem.linear import SolveError, direct, gmres_ilu
 from tigar_x.fem.schemes import generalized_alpha
 from tigar_x.geometry import shapes
 from tigar_x.geometry.bspline import BSplineBasis, periodic_knots
@@ -331,41 +332,40 @@ def test_factors_of_the_shell_s_tangent_serve_products_and_its_own_solution():
 
 
 def watched(monkeypatch):
-    """Whether a flow's preconditioner is kept, for every pass."""
-    kept, plain = [], PreparedSolver.preconditioner
+    """Whether preconditioners of flow and multiplier are kept, for every pass."""
+    kept, plain = [], Converged.prepared
 
-    def watching(self):
-        kept.append(self._keeps)
-        return plain(self)
+    def watching(self, at):
+        kept.append((at.fluid.system._solver._keeps, self.preconditioner is not None))
+        return plain(self, at)
 
-    monkeypatch.setattr(PreparedSolver, "preconditioner", watching)
+    monkeypatch.setattr(Converged, "prepared", watching)
     return kept
 
 
 @pytest.mark.mpi
-def test_the_flow_s_preconditioner_is_kept_as_its_recipe_says(monkeypatch):
+def test_preconditioners_are_kept_as_the_flow_s_recipe_says(monkeypatch):
     found = []
-    for recipe in (gmres_ilu(1), gmres_ilu(1, rebuild_growth=3.0)):
-        s, kept = in_flow(solver=recipe), watched(monkeypatch)
-        for _ in range(3):
-            s.fsi.takeStep()
-        assert kept[0] is False
-        assert all(kept[1:]) if recipe.rebuild_growth else not any(kept)
+    for growth in (None, 3.0):
+        s, kept = in_flow(solver=gmres_ilu(1, rebuild_growth=growth)), watched(monkeypatch)
+        passes = [s.fsi.takeStep().passes for _ in range(3)]
+        starts = np.cumsum([0, *passes[:-1]])
+        for of_flow, of_multiplier in (kept[k] for k in starts[1:]):
+            assert (of_flow, of_multiplier) == (growth is not None, growth is not None)
+        assert kept[0] == (False, False)
         found.append(restarted.norms(s.fsi))
     assert found[1] == pytest.approx(found[0], rel=1e-6)
 
 
 @pytest.mark.mpi
-def test_a_preconditioner_with_which_a_step_has_failed_is_not_kept(monkeypatch):
+def test_preconditioners_with_which_a_step_has_failed_are_not_kept(monkeypatch):
     s = in_flow(solver=gmres_ilu(1, rebuild_growth=3.0))
     s.fsi.takeStep()
-    solver = s.fsi.fluid.system._solver
-    assert solver._keeps
+    kept = watched(monkeypatch)
     monkeypatch.setattr(condensed, "ITERATIONS", 1)
-    monkeypatch.setattr(PreparedSolver, "solve", lambda *_: 1 / 0)  # of the ways to take the step that are left
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(StepError):
         s.fsi.takeStep()
-    assert not solver._keeps
+    assert kept[:2] == [(True, True), (False, False)]
 
 
 # -- what fails -------------------------------------------------------------------------------------------------------

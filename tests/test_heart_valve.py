@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import ufl
 import valve_extremes
+import valve_opening
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from load import load_demo
@@ -206,3 +207,10 @@ def test_the_valve_opens_closes_and_holds(preset, tmp_path):
     assert found["oscillation_decay"] < 0.9
     assert summary["monitors"]["piercings"] == 0
     assert summary["monitors"]["asymmetry_max"] < 0.1
+
+
+def test_steps_of_the_opening_valve_are_timed_in_turn(tmp_path):
+    found = valve_opening.main("6", steps=2, before=1, out=tmp_path)
+    (plain,), (jump,), (placing,) = found["step_ms"]["plain"], found["step_ms"]["jump"], found["placing_ms"]
+    assert 0.0 < placing < jump
+    assert found["ratios"] == [pytest.approx(jump / plain)]

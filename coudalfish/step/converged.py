@@ -16,6 +16,7 @@ from coudalfish.step.options import CouplingOptions
 from coudalfish.surface.multiplier import held_points
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
+from tigar_x.fem.linear import SolveError
 
 PASSES = 20
 """Passes after which Newton's method has failed, if the options allow more."""
@@ -24,7 +25,8 @@ INNER = 3
 INNER_SHARE = 0.1
 """Share of the residual that is accepted of the shell which they leave."""
 MANY = 200
-"""Functions from which on the multiplier's preconditioner is kept from step to step; a restart then makes it anew."""
+"""Functions from which on the multiplier's preconditioner is kept from step to step, as it is where the flow's recipe
+keeps that of the flow; a restart then makes it anew."""
 GROWTH = 1.5
 """Growth of the linear iterations at which the multiplier's preconditioner is made anew."""
 TIGHT = 0.1
@@ -65,7 +67,7 @@ class Converged:
 
     def begin(self, step: Stepping) -> "ConvergedMultiplier":
         """See :class:`coudalfish.step.method.Method`."""
-        if self.functions.count <= MANY:
+        if self.functions.count <= MANY and step.fluid.system.recipe.rebuild_growth is None:
             self.preconditioner = None
         return ConvergedMultiplier(self, step)
 
@@ -148,7 +150,12 @@ class ConvergedMultiplier:
         step.block = "fluid"
         system = self._method.prepared(at)
         r_s = ranks.first(step.comm, step.shell.system.b.array_r.copy())
-        norm, c = system.solve(step.fluid.system.b, r_s, self._slip(step), self._reference, step.acceptance.limits[0])
+        limit = step.acceptance.limits[0]
+        try:
+            norm, c = system.solve(step.fluid.system.b, r_s, self._slip(step), self._reference, limit)
+        except SolveError:
+            self._method.preconditioner = None
+            raise
         self._reference = max(self._reference, norm)
         self._method.solved(system.iterations)
         step.linear_iterations += system.iterations
