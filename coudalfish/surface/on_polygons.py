@@ -66,10 +66,10 @@ class OnPolygons(Averaged):
         comm.Allreduce(MPI.IN_PLACE, W, op=MPI.SUM)
         W[TOUCHING * whole > W] = 0.0
         of_points = nodes[points.cells]
-        number = np.zeros(int(of_points.max(initial=-1)) + 1, dtype=bool)
-        number[of_points] = True
-        seen = np.flatnonzero(number)
-        column, starts = (np.cumsum(number) - 1)[of_points], np.arange(0, of_points.size + 1, nodes.shape[1])
+        is_seen = np.zeros(int(of_points.max(initial=-1)) + 1, dtype=bool)
+        is_seen[of_points] = True
+        seen = np.flatnonzero(is_seen)
+        column, starts = (np.cumsum(is_seen) - 1)[of_points], np.arange(0, of_points.size + 1, nodes.shape[1])
         E = sp.csr_matrix((points.barycentric.ravel(), column.ravel(), starts), shape=(len(areas), len(seen)))
         location = Location(points.cells, points.barycentric, np.ones(len(areas), dtype=bool))
         inverse, means = np.divide(1.0, W, out=np.zeros_like(W), where=W > 0.0), hats.T.tocsr()
