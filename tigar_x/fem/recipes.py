@@ -163,8 +163,10 @@ def gmres_sor(*, rtol: float = 1e-8, max_iterations: int = 100, fallback: Linear
 def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: LinearSolver | None = None) -> LinearSolver:
     """Flexible GMRES with algebraic multigrid of smoothed aggregation on whole nodes (PETSc's GAMG).
 
-    Two steps of GMRES with incomplete LU smooth the levels, one block a rank; MUMPS solves the coarsest. Iterations
-    grow slowly with the number of unknowns, and so does memory; the set-up costs as much as ten iterations of others.
+    Two steps of GMRES with incomplete LU smooth the levels, one block a rank; MUMPS solves the coarsest, whose null
+    space it detects: that of the pressure in an enclosed flow is in all levels, and its last pivot is rounding.
+    Iterations grow slowly with the number of unknowns, and so does memory; the set-up costs as much as ten iterations
+    of others.
 
     Args:
         rtol: reduction of the true residual's norm.
@@ -192,6 +194,7 @@ def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: Linear
         "mg_levels_sub_pc_factor_mat_ordering_type": "rcm",
         "mg_coarse_pc_type": "lu",
         "mg_coarse_pc_factor_mat_solver_type": "mumps",
+        "mg_coarse_mat_mumps_icntl_24": 1,
     }
     return LinearSolver("multigrid", options, "aij", None, direct() if fallback is None else fallback)
 
