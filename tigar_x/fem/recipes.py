@@ -195,6 +195,7 @@ def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: Linear
         "mg_coarse_pc_type": "lu",
         "mg_coarse_pc_factor_mat_solver_type": "mumps",
         "mg_coarse_mat_mumps_icntl_24": 1,
+        "mg_coarse_mat_mumps_cntl_3": 1e-9,
     }
     return LinearSolver("multigrid", options, "aij", None, direct() if fallback is None else fallback)
 
