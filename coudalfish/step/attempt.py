@@ -18,6 +18,7 @@ from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.acceleration import Anderson
 from coudalfish.step.acceptance import Acceptance
 from coudalfish.step.floors import residual_floors
+from coudalfish.step.known import Known
 from coudalfish.step.method import Attempt, StepMultiplier
 from coudalfish.step.report import ContactReport, RejectedStepError, StepError, StepReport
 from coudalfish.step.watch import Watch
@@ -109,7 +110,7 @@ class Step:
         self.anderson = Anderson(max(self.options.acceleration, 1))
         self.dt, self.block = fluid.timeInt.step_size, "coupling"
         self.positive = cautious or (self.method.lag == 0.0 and shell.spline.nsd == 3)
-        self.acceptance = Acceptance(self.options)
+        self.acceptance, self._of_shell = Acceptance(self.options), Known(self.comm)
         self.passes, self.linear_iterations, self.inactive, self.spacing = 0, 0, 0, 0.0
 
     # -- set-up -------------------------------------------------------------------------------------------------------
@@ -241,9 +242,9 @@ class Step:
         return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta, self.beside))
 
     def shell_residual(self) -> float:
-        """Residual of the shell under the present forces (collective)."""
-        self.block = "shell"
-        return self._finite(ranks.agreed(self.comm, lambda: self.shell.assemble_residual(self.forces)))
+        """Residual of the shell under the present forces (collective), assembled unless it is."""
+        self.block, forces, y = "shell", self.forces, self.shell.timeInt.x.x.array
+        return self._finite(self._of_shell(partial(self.shell.assemble_residual, forces), forces, y))
 
     def _finite(self, norm: float) -> float:
         if not math.isfinite(norm):
@@ -293,10 +294,9 @@ class Step:
         if self.passes == 0 and self.floors is not None:
             return self.floors
         pushed, moved = exchange.tractions(self.multiplier.acting, self.n), np.abs(self.u) + np.abs(self.y_dot)
-        part = np.abs(pushed) + self.beta * moved
-        terms, stiffness = self.W[:, None] * part, self.W * self.beta * self.shell.timeInt.xdot_factor
-        state, atol = (self.fluid, self.shell, self.trace, terms, stiffness), self.options.block_atol
-        self.floors = residual_floors(*state, atol=atol, solved=self.passes > 0)
+        terms, stiffness = np.abs(pushed) + self.beta * moved, self.beta * self.shell.timeInt.xdot_factor
+        state = self.fluid, self.shell, self.trace, self.W[:, None] * terms, self.W * stiffness
+        self.floors = residual_floors(*state, atol=self.options.block_atol, solved=self.passes > 0)
         return self.floors
 
     # -- end ----------------------------------------------------------------------------------------------------------

@@ -34,6 +34,11 @@ typedef struct {
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+/* One instruction each, where fmin and fmax are calls. */
+static double smaller(double a, double b) { return a < b ? a : b; }
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
 static void minus(const double *a, const double *b, double *result) {
   for (int i = 0; i < 3; ++i)
     result[i] = a[i] - b[i];
@@ -71,8 +76,8 @@ static void fit_disc(const tree *t, int64_t leaf) {
     normal[i] = part(normal[i], length);
   for (int64_t k = 3 * t->first[leaf]; k < 3 * t->first[leaf + 1]; ++k) {
     minus(t->x + 3 * k, middle, b);
-    *thickness = fmax(*thickness, fabs(dot(b, normal)));
-    *radius = fmax(*radius, sqrt(dot(b, b)));
+    *thickness = larger(*thickness, fabs(dot(b, normal)));
+    *radius = larger(*radius, sqrt(dot(b, b)));
   }
   *thickness += ROUNDED * *radius;
 }
@@ -88,12 +93,12 @@ void fit(const tree *t) {
       for (int64_t k = leaf < 0 ? 0 : t->first[leaf]; leaf >= 0 && k < t->first[leaf + 1]; ++k)
         for (int corner = 0; corner < 3; ++corner) {
           const double value = t->x[9 * k + 3 * corner + i];
-          low[i] = fmin(low[i], value);
-          high[i] = fmax(high[i], value);
+          low[i] = smaller(low[i], value);
+          high[i] = larger(high[i], value);
         }
       for (int64_t child = 2 * node + 1; leaf < 0 && child < 2 * node + 3; ++child) {
-        low[i] = fmin(low[i], t->boxes[6 * child + i]);
-        high[i] = fmax(high[i], t->boxes[6 * child + 3 + i]);
+        low[i] = smaller(low[i], t->boxes[6 * child + i]);
+        high[i] = larger(high[i], t->boxes[6 * child + 3 + i]);
       }
     }
     if (leaf >= 0)
@@ -104,9 +109,8 @@ void fit(const tree *t) {
 static double from_box(const double *box, const double *at) {
   double result = 0.0;
   for (int i = 0; i < 3; ++i) {
-    const double under = box[i] - at[i], over = at[i] - box[3 + i], way = under > over ? under : over;
-    if (way > 0.0)
-      result += way * way;
+    const double way = larger(larger(box[i] - at[i], at[i] - box[3 + i]), 0.0); /* no branch: it would be a guess */
+    result += way * way;
   }
   return result;
 }
@@ -116,8 +120,8 @@ static double from_disc(const double *disc, const double *at) {
   double off[3];
   minus(at, disc, off);
   const double height = fabs(dot(off, disc + 3)), above = height - disc[6];
-  const double aside = sqrt(fmax(dot(off, off) - height * height, 0.0)) - disc[7];
-  return (above > 0.0 ? above * above : 0.0) + (aside > 0.0 ? aside * aside : 0.0);
+  const double aside = sqrt(larger(dot(off, off) - height * height, 0.0)) - disc[7];
+  return larger(above, 0.0) * larger(above, 0.0) + larger(aside, 0.0) * larger(aside, 0.0);
 }
 
 /* Nearest place of one triangle: its kind, and as in places. */
@@ -198,7 +202,7 @@ static int64_t of_point(const tree *t, const double *at, double limit, const tol
   int64_t stack[DEPTH], found = first;
   double far[DEPTH], inner[2], gap[3], least, bound = bounding(limit);
   on_triangle(t->x + 9 * known, at, inner, gap, &least);
-  bound = fmin(bound, bounding(same(least, tol)));
+  bound = smaller(bound, bounding(same(least, tol)));
   least = INFINITY;
   int height = 1;
   stack[0] = 0;
@@ -219,7 +223,7 @@ static int64_t of_point(const tree *t, const double *at, double limit, const tol
     found = in_leaf(t, node - t->leaves + 1, at, tol, limit, &least, first, found, p);
     if (found < 0)
       return -1;
-    bound = fmin(bound, bounding(same(least, tol)));
+    bound = smaller(bound, bounding(same(least, tol)));
   }
   return found;
 }
@@ -237,7 +241,7 @@ int64_t nearest(const tree *t, int64_t points, const double *at, const double *l
       return -1;
     double least = INFINITY;
     for (int64_t k = first; k < last; ++k)
-      least = fmin(least, p->distance[k]);
+      least = smaller(least, p->distance[k]);
     for (int64_t k = first; k < last; ++k) {
       if (p->distance[k] > same(least, tol))
         continue;
@@ -300,7 +304,7 @@ static int beside(const double *box, const double *start, const double *end) {
   if (box[0] > box[3])
     return 1; /* it has nothing */
   for (int i = 0; i < 3; ++i) {
-    const double low = fmin(start[i], end[i]), high = fmax(start[i], end[i]);
+    const double low = smaller(start[i], end[i]), high = larger(start[i], end[i]);
     const double slack = ROUNDED * (fabs(low) + fabs(high) + fabs(box[i]) + fabs(box[3 + i]));
     if (low > box[3 + i] + slack || high < box[i] - slack)
       return 1;

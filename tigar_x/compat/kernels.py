@@ -16,7 +16,7 @@ import cffi
 from tigar_x.compat.forms import cache_folder, compiling
 from tigar_x.compat.jit import build_once
 
-FLAGS = ["-O2", "-g0", "-ffp-contract=off"]
+FLAGS = ["-O3", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"]
 """Products are rounded before they are added, as NumPy's are: what is zero by symmetry stays zero."""
 
 
