@@ -227,9 +227,9 @@ def test_meshes_and_projections_have_theirs(table, monkeypatch):
 
 
 def recorded(made, init):
-    def of(self, recipe, A):
+    def of(self, recipe, *more):
         made.append(recipe)
-        init(self, recipe, A)
+        init(self, recipe, *more)
 
     return of
 

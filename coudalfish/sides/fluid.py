@@ -1,6 +1,7 @@
 """The flow as the coupling sees it: a residual in a finite element space, and what the coupling adds to it."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -114,8 +115,9 @@ class FluidSubproblem:
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
         recipe = chosen(solver, self._recipe(size * block, blocked=block > 1), "fluid_")
         self.system = self._make_system(
-            residual_f, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one, prefix="fluid_"
-        )
+            residual_f, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one, prefix="fluid_",
+            weak=None if band is None else partial(band.surrounded, V),
+        )  # fmt: skip
         self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
         self.trace_dofs, self._reference = self.velocity_dofs, 0.0
         self._measure()

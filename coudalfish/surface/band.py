@@ -2,6 +2,7 @@
 
 import numpy as np
 from dolfinx import fem, mesh
+from numpy.typing import NDArray
 
 from coudalfish.surface.trace import Location
 from tigar_x import checks, compat
@@ -70,3 +71,16 @@ class SurfaceBand:
         self.clear()
         self.scale_m.x.array[inside] = scale_m
         self.scale_c.x.array[inside] = scale_c
+
+    def surrounded(self, space: fem.FunctionSpace) -> NDArray[np.bool_]:
+        """Mask of the local nodes of a blocked space all of whose cells are in the band (collective).
+
+        Args:
+            space: Lagrange space on the mesh, all components of which live at the same nodes.
+        """
+        outside, size = fem.Function(space), space.dofmap.index_map_bs
+        at = outside.x.array.reshape(-1, size)
+        beyond = np.minimum(self.scale_m.x.array, self.scale_c.x.array)[self._cell_dof] >= 1.0
+        at[compat.cell_dofs(space)[beyond]] = 1.0
+        compat.accumulate(outside)
+        return np.asarray(at[:, 0] == 0.0)

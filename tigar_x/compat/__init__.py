@@ -27,6 +27,7 @@ from tigar_x.compat.algebra import (
     pin_component,
     prescribed_component,
 )
+from tigar_x.compat.blocks import Pattern, block_pattern, block_values, nonzero_state
 from tigar_x.compat.forms import (
     C_FLAGS,
     CompiledForm,
@@ -141,5 +142,9 @@ __all__ = [
     "nodes_on_facets",
     "petsc_vector",
     "pin_component",
+    "Pattern",
+    "block_pattern",
+    "block_values",
+    "nonzero_state",
 ]
 __getattr__ = guide(__name__)

@@ -7,6 +7,7 @@ that of other systems, and the second blocks are rows at the end of the matrix.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem import rounding
 from tigar_x.fem.divided import Doubled
+from tigar_x.fem.nodes import RowNodes
 from tigar_x.fem.solve import FiniteElementSystem
 
 
@@ -136,6 +138,15 @@ class DoubledSystem(FiniteElementSystem):
         A.setLGMap(names_map, names_map)
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         return A
+
+    def nodes_of_rows(self) -> RowNodes | None:
+        """See there: second blocks, whose aggregates are their own, come after all nodes."""
+        first, at = super().nodes_of_rows(), self._doubles
+        if first is None:
+            return None
+        held = np.vstack([first.held, ~self.second[at]])
+        group = np.repeat([0, 1], [len(first.x), len(at)])
+        return replace(first, x=np.vstack([first.x, first.x[at]]), held=held, group=group)
 
     def _small_matrix(self, owner: Any) -> PETSc.Mat:
         """Matrix of this rank's divided cells, two blocks a node."""

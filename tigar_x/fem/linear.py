@@ -12,6 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from tigar_x import compat
+from tigar_x.fem.nodes import RowNodes
 from tigar_x.fem.petsc_options import chosen
 from tigar_x.fem.recipes import (
     LARGE,
@@ -24,7 +25,9 @@ from tigar_x.fem.recipes import (
     gmres_ilu,
     gmres_sor,
     multigrid,
+    two_level,
 )
+from tigar_x.fem.two_level import TwoLevel
 
 __all__ = [
     "LARGE",
@@ -40,6 +43,7 @@ __all__ = [
     "gmres_sor",
     "keep_orthogonal",
     "multigrid",
+    "two_level",
 ]
 
 log = logging.getLogger(__name__)
@@ -110,13 +114,20 @@ class PreparedSolver:
     Args:
         recipe: what to do.
         A: the matrix; its values may change between solves, its pattern may not.
+        nodes: of its rows; None: nothing is known of them.
 
     Raises:
-        ValueError: the recipe's own KSP lives on other ranks than the matrix.
+        ValueError: the recipe's own KSP lives on other ranks than the matrix, or a coarse level lacks nodes or blocks.
     """
 
-    def __init__(self, recipe: LinearSolver, A: PETSc.Mat) -> None:
+    def __init__(self, recipe: LinearSolver, A: PETSc.Mat, nodes: RowNodes | None = None) -> None:
         self.recipe = recipe
+        self._nodes = nodes
+        if recipe.aggregates is not None and (nodes is None or "baij" not in A.getType()):
+            raise ValueError(
+                f"solver = {recipe.name}: a system whose components all live at the same nodes, with a matrix of type"
+                " baij, is required for its coarse level"
+            )
         self._A = A
         options = dict(recipe.options)
         # with the user's prefix PETSc finds what the user has given by itself, and knows that it was used
@@ -161,6 +172,10 @@ class PreparedSolver:
         ksp.setOperators(self._operator())
         with self._table_of_options():
             ksp.setFromOptions()
+        if self.recipe.aggregates is not None and self._nodes is not None:
+            pc = ksp.getPC()
+            pc.setType("python")
+            pc.setPythonContext(TwoLevel(self._nodes, self._prefix, size=self.recipe.aggregates))
         if self.recipe.configure is not None:
             self.recipe.configure(ksp)
             if self.recipe.overrides:
@@ -331,5 +346,5 @@ class PreparedSolver:
             raise SolveError(f"{self.recipe.name} failed after {iterations} iterations ({cause})")
         log.warning("%s failed (%s); using %s", self.recipe.name, cause, self.recipe.fallback.name)
         if self._fallback is None:
-            self._fallback = PreparedSolver(self.recipe.fallback, self._A)
+            self._fallback = PreparedSolver(self.recipe.fallback, self._A, self._nodes)
         return iterations + self._fallback.solve(b, x, reference)

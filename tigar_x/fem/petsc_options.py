@@ -96,9 +96,10 @@ def _given(prefix: str) -> dict[str, Any]:
 
 def _changed(recipe: LinearSolver, given: dict[str, Any], prefix: str) -> LinearSolver:
     """The recipe with other options."""
-    options, matrix = dict(recipe.options), recipe.matrix
+    options, matrix, aggregates = dict(recipe.options), recipe.matrix, recipe.aggregates
     if given.get("pc_type", options.get("pc_type")) != options.get("pc_type"):
         options = {key: value for key, value in options.items() if not key.startswith(_OF_PRECONDITIONER)}
+        aggregates = None
         if given["pc_type"] not in _ON_BLOCKS:
             matrix = "aij"
     method = given.get("ksp_type", options.get("ksp_type"))
@@ -116,7 +117,7 @@ def _changed(recipe: LinearSolver, given: dict[str, Any], prefix: str) -> Linear
         if key in given:
             checks.not_negative(f"-{prefix}{key}", _number(given[key]))
     own = {key: value for key, value in given.items() if key != "mat_type"}
-    return replace(recipe, options={**options, **own}, matrix=matrix, overrides=given)
+    return replace(recipe, options={**options, **own}, matrix=matrix, aggregates=aggregates, overrides=given)
 
 
 def _number(text: Any) -> Any:

@@ -1,7 +1,7 @@
 """Named recipes for linear systems; :mod:`tigar_x.fem.linear` binds one to a matrix."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from petsc4py import PETSc
 
@@ -33,6 +33,8 @@ class LinearSolver:
         rebuild_growth: keep a preconditioner while iterations stay below this factor times those after it was built;
             None: rebuild it whenever the matrix changed.
         fallback: recipe to use when this one fails; None: fail.
+        aggregates: nodes of an aggregate of the coarse level that goes before the preconditioner which the options
+            describe, see :mod:`tigar_x.fem.two_level`; 0: by number of nodes; None: there is no coarse level.
         prefix: of the PETSc options that go before ``options``, with its underscore, as "valve_"; None: that of the
             system which it solves, see :mod:`tigar_x.fem.petsc_options`.
         configure: called with the KSP once ``options`` are set, for what no option can say. A tolerance that it sets
@@ -48,6 +50,7 @@ class LinearSolver:
     matrix: str = "aij"
     rebuild_growth: float | None = None
     fallback: "LinearSolver | None" = None
+    aggregates: int | None = None
     prefix: str | None = None
     configure: Callable[[PETSc.KSP], None] | None = None
     ksp: PETSc.KSP | None = field(default=None, hash=False)
@@ -67,6 +70,11 @@ class LinearSolver:
     def is_direct(self) -> bool:
         """Whether it is a factorisation that is applied once, without a tolerance."""
         return self.options.get("ksp_type") == "preonly" and self.options.get("pc_type") in ("lu", "cholesky")
+
+    @property
+    def needs_nodes(self) -> bool:
+        """Whether it, or a fallback, has to know the nodes of the system."""
+        return self.aggregates is not None or (self.fallback is not None and self.fallback.needs_nodes)
 
     @property
     def rtol(self) -> float:
@@ -127,6 +135,40 @@ def gmres_ilu(
     options |= {f"sub_{key}": value for key, value in ilu.items()}
     next_one = gmres_sor(rtol=rtol) if fallback is None else fallback
     return LinearSolver(f"gmres_ilu({levels})", options, "baij", rebuild_growth, next_one)
+
+
+def two_level(
+    levels: int = 1,
+    *,
+    rtol: float = 1e-8,
+    max_iterations: int = 200,
+    overlap: int = 2,
+    aggregates: int = 0,
+    rebuild_growth: float | None = None,
+    fallback: LinearSolver | None = None,
+) -> LinearSolver:
+    """Right-preconditioned GMRES with a coarse level and :func:`gmres_ilu`'s preconditioner after it.
+
+    Its iterations hardly grow with the number of ranks or of unknowns, see :mod:`tigar_x.fem.two_level`.
+
+    Args:
+        levels: levels of fill.
+        rtol: reduction of the true residual's norm.
+        max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        overlap: overlap of the Schwarz subdomains.
+        aggregates: nodes of an aggregate; 0: by number of nodes.
+        rebuild_growth: see :class:`LinearSolver`.
+        fallback: recipe to use when GMRES fails; None: MUMPS.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    one = gmres_ilu(levels, rtol=rtol, max_iterations=max_iterations, overlap=overlap, rebuild_growth=rebuild_growth)
+    size, last = checks.whole("aggregates", aggregates, 0), direct() if fallback is None else fallback
+    return replace(one, name=f"two_level({levels})", aggregates=size, fallback=last)
 
 
 def _gmres(rtol: float, max_iterations: int) -> dict[str, str | int | float]:

@@ -18,6 +18,7 @@ from tigar_x.fem.kept import KeptMatrix
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, chosen, direct
 from tigar_x.fem.low_rank import LowRank, RankOne
 from tigar_x.fem.newton import NewtonReport, System, newton
+from tigar_x.fem.nodes import RowNodes
 
 __all__ = ["FiniteElementSystem", "NewtonReport", "RankOne", "System", "newton"]
 
@@ -38,6 +39,8 @@ class FiniteElementSystem:
         before: called before every assembly of the residual, to bring along what follows the unknown.
         resolution: gives what rounding of each local dof refers to beside its own value, shape (dofs,), as a solid's
             velocity that deforms it by one. None: nothing.
+        weak: gives the mask of the local nodes, shape (nodes,), at which the last unknown, a pressure, has a weak
+            diagonal (collective); None: nothing is known of that.
         prefix: of the PETSc options that go before the recipe's, see :mod:`tigar_x.fem.petsc_options`.
 
     Attributes:
@@ -64,6 +67,7 @@ class FiniteElementSystem:
         rank_one: Sequence[RankOne] = (),
         before: Sequence[Callable[[], None]] = (),
         resolution: Callable[[], FloatArray] | None = None,
+        weak: Callable[[], Any] | None = None,
         prefix: str = "",
     ) -> None:
         checks.kind("residual", residual, ufl.Form, "a form, and then the unknown")
@@ -75,6 +79,7 @@ class FiniteElementSystem:
         self.recipe = chosen(solver, direct(), prefix)
         self.constrained = compat.constrained_dofs(self.bcs)
         self.iterations = self.layout = 0
+        self._weak, self._floating = weak, constant is not None
         self._make(residual, ufl.derivative(residual, x) if tangent is None else tangent)
         self._null = None if constant is None else self._null_space(constant)
         self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
@@ -92,10 +97,23 @@ class FiniteElementSystem:
         """Take over a matrix and a vector, which are freed with their owner."""
         self.A, self.b, self._dx = A, b, b.duplicate()
         compat.freed_with(owner, A, b, self._dx)
-        self._solver = PreparedSolver(self.recipe, A)
+        self._solver = PreparedSolver(self.recipe, A, self.nodes_of_rows() if self.recipe.needs_nodes else None)
         self._kept = KeptMatrix(A)
         self.has_tangent = False
         self.layout += 1
+
+    def nodes_of_rows(self) -> RowNodes | None:
+        """What a preconditioner may know of this rank's nodes; None: the components have none in common."""
+        V, bs = self.x.function_space, self.x.function_space.dofmap.index_map_bs
+        if bs == 1:
+            return None
+        own, held = V.dofmap.index_map.size_local, np.zeros(len(self.x.x.array), dtype=bool)
+        held[self.constrained] = True
+        weak = self._weak
+        marks = None if weak is None else (lambda: weak()[:own])
+        return RowNodes(
+            V.tabulate_dof_coordinates()[:own], held.reshape(-1, bs)[:own], weak=marks, floating=self._floating
+        )
 
     def _null_space(self, constant: IntArray) -> PETSc.NullSpace:
         """Of the tangent and of its transpose, attached to it."""

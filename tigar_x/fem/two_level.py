@@ -1,0 +1,229 @@
+"""A preconditioner of two levels for node-blocked matrices of stabilised flows.
+
+With r a residual, P what is constant for each component in aggregates of nodes, and S the smoother,
+
+    z = P (P' A P)^-1 P' r,    y = z + S (r - A z).
+
+Near an immersed surface whose stabilisation is scaled down, pivots of pressures are weak until fill arrives. The
+smoother is therefore made for a repaired copy of the matrix, in which the pressures' couplings between two nodes there
+are multiplied and those on the diagonal keep the sums of the rows. GMRES keeps the exact matrix.
+"""
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.sparse.linalg import splu
+
+from tigar_x import compat
+from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem.nodes import RowNodes, aggregates
+
+AGGREGATE, WIDE, MANY = 128, 256, 70_000
+"""Nodes of an aggregate; and from MANY nodes of all ranks on, where the coarse level would cost too much."""
+MOST = 4_000
+"""Aggregates of all ranks at most: beyond, they grow with the number of nodes."""
+DENSE = 600
+"""Unknowns of the coarse level up to which its factors are dense."""
+REPAIR = 10.0
+"""Factor of weak couplings of pressures in the matrix that the smoother is made for."""
+_FLOATING_POINT = 72  # PETSc's code for a number that is not finite
+
+
+class TwoLevel:
+    """What PETSc asks of a preconditioner of its type "python".
+
+    Args:
+        nodes: of the matrix's rows.
+        prefix: of the smoother's PETSc options.
+        size: nodes of an aggregate; 0: by number of nodes.
+        repair: factor of the couplings of weak pressures; 1: the smoother is made for the matrix itself.
+
+    Attributes:
+        smoother: S.
+    """
+
+    smoother: PETSc.PC
+
+    def __init__(self, nodes: RowNodes, prefix: str, *, size: int = 0, repair: float = REPAIR) -> None:
+        self._nodes, self._prefix, self._size, self._repair = nodes, prefix, size, repair
+        self._A = PETSc.Mat()
+        self._owned: list[Any] = []
+        self._pattern: Any = None
+
+    def set_up(self, pc: PETSc.PC) -> None:
+        """Make both levels for the matrix as it is (collective)."""
+        A = pc.getOperators()[0]
+        if self._pattern is None or A.handle != self._A.handle or compat.nonzero_state(A) != self._pattern.state:
+            self._lay_out(A)
+        self._coarse.make(compat.block_values(A))
+        self._repaired()
+        self.smoother.setUp()
+        self.smoother.setUpOnBlocks()
+
+    setUp = set_up  # as PETSc calls it
+
+    def _lay_out(self, A: PETSc.Mat) -> None:
+        """What depends on the pattern alone."""
+        self.destroy()
+        self._A, self._pattern = A, compat.block_pattern(A)
+        names = _named_columns(A, self._pattern)
+        self._coarse = Coarse(A, self._pattern, self._nodes, names, self._size)
+        self._z, self._rest = A.createVecRight(), A.createVecLeft()
+        self.smoother = PETSc.PC().create(A.comm)
+        self.smoother.setOptionsPrefix(self._prefix)
+        repairs = self._nodes.weak is not None and self._repair != 1.0
+        self._copy = A.duplicate(copy=True) if repairs else A
+        self.smoother.setOperators(A, self._copy)
+        self.smoother.setFromOptions()
+        self._owned = [self._z, self._rest, self.smoother, *([self._copy] if repairs else [])]
+        self._ghosts = names
+
+    def _repaired(self) -> None:
+        """Bring the smoother's matrix up to date (collective)."""
+        marks = self._nodes.weak
+        if marks is None or self._copy is self._A:
+            return
+        self._A.copy(self._copy, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        at, weak = self._pattern, self._ghosts(np.asarray(marks()).astype(np.float64)) > 0.5
+        values = compat.block_values(self._copy)
+        edges, start = weak[at.rows] & weak[at.columns] & (at.rows != at.columns), 0
+        for blocks in values:
+            found = np.flatnonzero(edges[start : start + len(blocks)])
+            added = (self._repair - 1.0) * blocks[found, -1, -1]
+            blocks[found, -1, -1] += added
+            values[0][at.diagonal, -1, -1] -= np.bincount(at.rows[start + found], added, at.own)
+            start += len(blocks)
+        self._copy.stateIncrease()
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Y = M^-1 x (collective)."""
+        self._coarse.correct(x.array_r, self._z.array_w)
+        self._A.mult(self._z, self._rest)
+        self._rest.aypx(-1.0, x)
+        self.smoother.apply(self._rest, y)
+        y.axpy(1.0, self._z)
+
+    def destroy(self, pc: PETSc.PC | None = None) -> None:
+        """Free what was made (collective)."""
+        for thing in self._owned:
+            thing.destroy()
+        self._owned, self._pattern = [], None
+
+
+def _named_columns(A: PETSc.Mat, pattern: Any) -> Any:
+    """Function that continues values at this rank's nodes to all columns of its rows (collective)."""
+    if A.comm.size == 1:
+        return lambda values: values
+    mine = PETSc.Vec().createMPI((pattern.own, None), comm=A.comm)
+    there = PETSc.Vec().createSeq(len(pattern.others), comm=PETSc.COMM_SELF)
+    target = PETSc.IS().createGeneral(pattern.others, comm=PETSc.COMM_SELF)
+    scatter = PETSc.Scatter().create(mine, target, there, None)
+    target.destroy()
+
+    def continued(values: FloatArray) -> FloatArray:
+        mine.array_w[:] = values
+        scatter.scatter(mine, there, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+        return np.concatenate([values, there.array_r])
+
+    compat.freed_with(continued, mine, scatter)
+    compat.freed_with(continued, there)
+    return continued
+
+
+class Coarse:
+    """The coarse level: constants for each component in aggregates of nodes, solved on every rank.
+
+    Args:
+        A: the matrix.
+        pattern: of its blocks.
+        nodes: of its rows.
+        continued: continues values at this rank's nodes to all columns of its rows.
+        size: nodes of an aggregate; 0: by number of nodes.
+    """
+
+    def __init__(self, A: PETSc.Mat, pattern: Any, nodes: RowNodes, continued: Any, size: int) -> None:
+        comm = self._comm = A.comm.tompi4py()
+        bs, own = pattern.size, pattern.own
+        every = comm.allreduce(own, op=MPI.SUM)
+        size = size or max(AGGREGATE if every < MANY else WIDE, -(-every // MOST))
+        number = aggregates(nodes.x, size, nodes.group)
+        mine = int(number.max(initial=-1)) + 1
+        counts = comm.allgather(mine)
+        first, self._total = sum(counts[: comm.rank]), sum(counts)
+        self._bs, self._own, self._counts = bs, own, [bs * count for count in counts]
+        self._range = slice(first, first + mine)
+        self._free = 1.0 - nodes.held
+        self._number = number
+        self._restrict = sp.csr_matrix((np.ones(own), (number, np.arange(own))), shape=(mine, own))
+        column = continued((number + first).astype(np.float64)).astype(np.int64)[pattern.columns]
+        keys, place = np.unique(number[pattern.rows] * self._total + column, return_inverse=True)
+        blocks = len(place)
+        sums = sp.csr_matrix((np.ones(blocks), place, np.arange(blocks + 1)), shape=(blocks, len(keys))).T.tocsr()
+        inside = int(np.searchsorted(pattern.columns >= own, True))
+        self._sums = sums[:, :inside], sums[:, inside:]
+        held = np.argwhere(nodes.held)
+        self._held = pattern.diagonal[held[:, 0]], held[:, 1]
+        pairs = np.searchsorted(keys, (number * self._total + number + first)[held[:, 0]])
+        self._held_place = np.ravel_multi_index((pairs, held[:, 1], held[:, 1]), (len(keys), bs, bs))
+        empty = (self._restrict @ self._free) == 0.0
+        self._lay_out(keys + first * self._total, empty, nodes.floating)
+
+    def _lay_out(self, keys: IntArray, empty: Any, floating: bool) -> None:
+        """Rows and columns of the coarse matrix, of all ranks (collective)."""
+        comm, bs = self._comm, self._bs
+        every = np.concatenate(comm.allgather(keys))
+        self._parts = [bs * bs * count for count in comm.allgather(len(keys))]
+        rows, columns = np.divmod(every, self._total)
+        at = np.arange(bs)
+        shape = len(every), bs, bs  # column by column, as the blocks are
+        self._rows = np.broadcast_to((bs * rows)[:, None, None] + at[None, None, :], shape).ravel()
+        self._columns = np.broadcast_to((bs * columns)[:, None, None] + at[None, :, None], shape).ravel()
+        self._ones = np.flatnonzero(np.concatenate(comm.allgather(empty.ravel())))
+        self._pinned = -1
+        if floating:
+            known = np.ones(bs * self._total, dtype=bool)
+            known[self._ones] = False
+            self._pinned = int(np.flatnonzero(known.reshape(-1, bs)[:, -1])[0]) * bs + bs - 1
+
+    def make(self, values: list[FloatArray]) -> None:
+        """Factor P' A P (collective).
+
+        Args:
+            values: blocks of the matrix.
+        """
+        bs, n = self._bs, self._bs * self._total
+        mine = sum(part @ blocks.reshape(-1, bs * bs) for part, blocks in zip(self._sums, values, strict=False))
+        mine = np.ascontiguousarray(mine).ravel()
+        blocks, component = self._held
+        np.subtract.at(mine, self._held_place, values[0][blocks, component, component])
+        every = np.empty(sum(self._parts))
+        self._comm.Allgatherv(mine, (every, self._parts))
+        if not np.isfinite(every).all():
+            raise PETSc.Error(_FLOATING_POINT)
+        if self._pinned >= 0:
+            every[(self._rows == self._pinned) | (self._columns == self._pinned)] = 0.0
+        ones = self._ones if self._pinned < 0 else np.append(self._ones, self._pinned)
+        entries = np.append(every, np.ones(len(ones)))
+        rows, columns = np.append(self._rows, ones), np.append(self._columns, ones)
+        A = sp.csc_matrix((entries, (rows, columns)), shape=(n, n))
+        if n <= DENSE:
+            factors = la.lu_factor(A.toarray(), check_finite=False)
+            self._solve = lambda b: la.lu_solve(factors, b, check_finite=False)
+        else:
+            options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
+            self._solve = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+
+    def correct(self, x: FloatArray, z: FloatArray) -> None:
+        """Z = P (P' A P)^-1 P' x, for this rank's values (collective)."""
+        bs = self._bs
+        mine = np.ascontiguousarray(self._restrict @ (x.reshape(-1, bs) * self._free)).ravel()
+        every = np.empty(bs * self._total)
+        self._comm.Allgatherv(mine, (every, self._counts))
+        if self._pinned >= 0:
+            every[self._pinned] = 0.0
+        solved = self._solve(every).reshape(-1, bs)[self._range]
+        z.reshape(-1, bs)[:] = solved[self._number] * self._free
