@@ -115,6 +115,7 @@ class CouDALFISh(checks.Made):
         for integrator in self.integrators:
             if integrator is not self.timeInt_sh:
                 integrator.partner = self.timeInt_sh
+        self.shell.share(self.fluid.comm)
         self._is_made = True
 
     def __repr__(self) -> str:

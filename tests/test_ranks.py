@@ -64,21 +64,23 @@ def test_ranks_that_differ_by_rounding_go_on_together(name, size):
 @pytest.mark.mpi
 @needs_ranks
 @pytest.mark.parametrize("rank", [0, 1])
-@pytest.mark.parametrize("where", ["assemble_residual", "assemble_tangent", "solve"])
+@pytest.mark.parametrize("where", ["_integrate_residual", "_share", "solve"])
 def test_a_shell_that_fails_on_one_rank_fails_on_all(rank, where):
     scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.1))
     scene.fsi.takeStep()
-    before, works = scene.y.x.array.copy(), getattr(scene.shell, where)
+    system = scene.shell.system
+    owner = {"_integrate_residual": system, "_share": system._part, "solve": scene.shell}[where]
+    before, works = scene.y.x.array.copy(), getattr(owner, where)
 
     def fails(*_, **__):
         raise SolveError("on one rank")
 
     if COMM.rank == rank:
-        setattr(scene.shell, where, fails)
+        setattr(owner, where, fails)
     with pytest.raises(StepError, match="failed in the shell block: on one rank"):
         scene.fsi.takeStep()
     np.testing.assert_array_equal(scene.y.x.array, before)
-    setattr(scene.shell, where, works)
+    setattr(owner, where, works)
     assert scene.fsi.takeStep().t == pytest.approx(0.2)
 
 
@@ -117,3 +119,31 @@ def test_a_failure_of_the_last_rank_is_that_of_all(error):
         with pytest.raises(RejectedStepError) as caught:
             ranks.agreed(COMM, compute)
         assert caught.value.block == "shell"
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("count", [1, 4, 7])
+def test_the_median_of_all_ranks_is_that_of_their_values_together(count):
+    rng = np.random.default_rng(COMM.rank)
+    for values in (
+        rng.random(count + COMM.rank),
+        np.round(3.0 * rng.random(count)),
+        rng.random(count if COMM.rank else 0),
+    ):
+        every = np.concatenate(COMM.allgather(values))
+        if len(every):
+            assert ranks.median(COMM, values) == np.median(every)
+
+
+@pytest.mark.mpi
+@needs_ranks
+def test_a_sum_of_which_one_rank_fails_to_find_its_share_fails_on_all():
+    assert (ranks.summed(COMM, 2, lambda: np.array([1.0, COMM.rank])) == [COMM.size, sum(range(COMM.size))]).all()
+
+    def share():
+        if COMM.rank == 1:
+            raise SolveError("no")
+        return np.ones(2)
+
+    with pytest.raises(SolveError, match="no"):
+        ranks.summed(COMM, 2, share)

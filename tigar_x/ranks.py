@@ -46,7 +46,8 @@ def agreed(comm: MPI.Comm, compute: Callable[[], T], *arrays: FloatArray) -> T:
 
     Args:
         comm: the ranks.
-        compute: no collective on ``comm``; what it decides on the way may differ between ranks.
+        compute: what it decides on the way may differ between ranks; no collective on ``comm`` hangs on it. Its own are
+            those of :func:`summed`, which fail on all ranks.
         arrays: what it changes, to become that of rank 0 as well.
 
     Returns:
@@ -64,6 +65,33 @@ def agreed(comm: MPI.Comm, compute: Callable[[], T], *arrays: FloatArray) -> T:
         raise error or failures[0]
     share(comm, *arrays)
     return found[0][1]
+
+
+def summed(comm: MPI.Comm, size: int, work: Callable[[], FloatArray]) -> FloatArray:
+    """Sum over the ranks of what each finds for itself, the same on every rank; where one fails all do (collective).
+
+    Args:
+        comm: the ranks.
+        size: number of values, the same on every rank.
+        work: finds this rank's share, shape (size,); no collective on ``comm``.
+
+    Returns:
+        The sum, shape (size,).
+
+    Raises:
+        Exception: its own on the ranks that failed, that of the lowest one of them on the others.
+    """
+    share, error = tried(work)
+    total = np.zeros(size + 1)
+    if error is None:
+        total[:size] = share
+    else:
+        total[size] = 1.0
+    comm.Allreduce(MPI.IN_PLACE, total, op=MPI.SUM)
+    if total[size]:
+        failures = [told for told in comm.allgather(error and portable(error)) if told is not None]
+        raise error or failures[0]
+    return total[:size]
 
 
 def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
@@ -135,6 +163,29 @@ def gathered(comm: MPI.Comm, rows: Any) -> Any:
         return rows
     parts = comm.gather(np.ascontiguousarray(rows))
     return None if parts is None else np.concatenate(parts)
+
+
+def median(comm: MPI.Comm, values: FloatArray) -> float:
+    """Median of the values of all ranks (collective), by counts: none of them leaves its rank.
+
+    Args:
+        comm: communicator.
+        values: those of this rank, not negative; there is one on some rank.
+    """
+    bits = np.sort(np.ascontiguousarray(values, dtype=np.float64)).view(np.int64)  # in the order of the numbers
+    count = comm.allreduce(len(bits))
+    low, high = -1, int(comm.allreduce(bits[-1] if len(bits) else 0, op=MPI.MAX))
+    rank = (count - 1) // 2
+    while high - low > 1:  # more than `rank` values are <= high, no more than that <= low
+        middle = (low + high) // 2
+        more = comm.allreduce(int(np.searchsorted(bits, middle, "right"))) > rank
+        low, high = (low, middle) if more else (middle, high)
+    if count % 2 == 1 or comm.allreduce(int(np.searchsorted(bits, high, "right"))) > rank + 1:
+        following = high
+    else:
+        larger = bits[np.searchsorted(bits, high, "right") :][:1]
+        following = int(comm.allreduce(int(larger[0]) if len(larger) else np.iinfo(np.int64).max, op=MPI.MIN))
+    return float(np.array([high, following]).view(np.float64).mean())
 
 
 def tried(work: Callable[[], T]) -> tuple[T | None, Exception | None]:

@@ -5,7 +5,7 @@ from mpi4py import MPI
 from dolfinx import fem, mesh
 
 from coudalfish.sides.mesh_motion import MovingMesh
-from tigar_x import compat
+from tigar_x import compat, ranks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.time_integration import TimeIntegrator
 
@@ -17,7 +17,7 @@ def median_size(domain: mesh.Mesh) -> float:
         domain: mesh of simplices.
     """
     lengths = compat.shortest_edges(domain)[: compat.owned_cells(domain)]
-    return float(np.median(np.concatenate(domain.comm.allgather(lengths))))
+    return ranks.median(domain.comm, lengths)
 
 
 def extent(domain: mesh.Mesh) -> FloatArray:

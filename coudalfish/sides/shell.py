@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import ufl
+from mpi4py import MPI
 from dolfinx import fem
 from petsc4py import PETSc
 
@@ -87,6 +88,14 @@ class ShellSubproblem:
             )
         self.sheets = Sheets.of(spline_sh)
         self.normals = Normals(spline_sh, timeInt_sh, self.sheets.sign)
+
+    def share(self, comm: MPI.Comm) -> None:
+        """Integrate, extract and look at pairs of points in contact by parts on the ranks of a flow (collective).
+
+        Args:
+            comm: of the flow.
+        """
+        self.system.share(comm)
 
     def __repr__(self) -> str:
         contact = "" if self.contact is None else ", contact"

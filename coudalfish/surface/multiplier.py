@@ -189,9 +189,10 @@ def carried_over(lam: FloatArray, known: Any, wanted: Any, sheets: Sheets) -> Fl
         Shape (points,).
     """
     result, known = sheets.sign * lam, known & ~wanted
-    a, b = np.concatenate([sheets.links, sheets.links[:, ::-1]]).T
+    links = np.concatenate([sheets.links, sheets.links[:, ::-1]])
+    a, b = links[(wanted & ~known)[links[:, 0]]].T
     while True:
-        use = known[b] & ~known[a] & wanted[a]
+        use = known[b] & ~known[a]
         if not use.any():
             return sheets.sign * result
         total, number = np.bincount(a[use], result[b[use]], len(lam)), np.bincount(a[use], minlength=len(lam))

@@ -10,17 +10,18 @@ that is drawn closed, or stacked sheets. Here a pair is exempt when there is a s
 """
 
 import logging
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-import scipy.sparse as sp
+from mpi4py import MPI
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from shnapr.contact.kernels import Kernel, LinearKernel, SmoothedKernel
 from shnapr.contact.neighbours import WAY, IndexArray, way_apart
+from shnapr.contact.pairs import ContactForces, assembled, by_column, ends, gaps, stiffness
+from shnapr.contact.shared import largest, of_all_ranks, own_pairs
 from tigar_x import checks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
@@ -39,34 +40,6 @@ MOST_APPROACH = 3.0
 """Largest way in a step, relative to r_max, within which approaching points are looked for."""
 COINCIDENT = 1e-12
 """Distance relative to r_max below which two points have no direction of their own."""
-
-
-@dataclass(frozen=True, eq=False)
-class ContactForces:
-    """Contact in one configuration.
-
-    Attributes:
-        energy: E_c; unit: energy (per depth in the plane).
-        forces: contribution to the finite element residual, the derivative of E_c by the homogeneous nodal values,
-            shape (nodes, d).
-        tangent: derivative of ``forces`` by the homogeneous nodal values, with blocks for touching nodes only, shape
-            (nodes d, nodes d), symmetric; None: not asked for.
-        pairs: number of interacting pairs.
-        load: sum of the forces between them without regard to direction; unit: force.
-        distance: smallest distance of an interacting pair; inf without any.
-        coincident: number of pairs in the same place.
-    """
-
-    energy: float
-    forces: FloatArray
-    tangent: sp.bsr_matrix | None
-    pairs: int
-    load: float
-    distance: float
-    coincident: int
-
-    def __post_init__(self) -> None:
-        checks.freeze(self)
 
 
 class SelfContact:
@@ -125,7 +98,17 @@ class SelfContact:
         self._found: IndexArray = np.empty((0, 2), dtype=np.intp)
         self._warned = False
         self._allowed = self._keys(self.apart) if neighbours == "surface" else np.empty(0, dtype=np.intp)
+        self._comm: MPI.Comm | None = None
         self._report(neighbours)
+
+    def share(self, comm: MPI.Comm) -> None:
+        """Evaluate a part of the pairs on each of the ranks that have the same positions, from here on.
+
+        Args:
+            comm: the ranks; one alone has nothing to share.
+        """
+        if comm.size > 1:
+            self._comm, self._searched_at = comm, None
 
     def __repr__(self) -> str:
         return f"SelfContact({len(self._used)} points, {self.kernel!r}, r_self = {self.r_self:g})"
@@ -134,7 +117,7 @@ class SelfContact:
         """Say how many pairs start within range without being neighbours."""
         if not len(self.apart):
             return
-        closer = int(np.count_nonzero(_gaps(self.quadrature.points, self.apart)[1] < self.kernel.r_max))
+        closer = int(np.count_nonzero(gaps(self.quadrature.points, self.apart)[1] < self.kernel.r_max))
         found = (
             f"contact: {len(self.apart)} pairs of points start nearer than r_self = {self.r_self:g}, {closer} of them "
             f"nearer than r_max = {self.kernel.r_max:g}, without a way of {WAY:g} r_self between them along the surface"
@@ -163,7 +146,7 @@ class SelfContact:
     def evaluate(
         self, x: ArrayLike, *, tangent: bool = True, positive: bool = False, alpha: float = 1.0
     ) -> ContactForces:
-        """Energy, forces and tangent in a configuration.
+        """Energy, forces and tangent in a configuration (collective where it is shared).
 
         Args:
             x: current positions of the points, shape (nodes, d); unit: length.
@@ -173,14 +156,20 @@ class SelfContact:
             alpha: factor of the tangent > 0, the derivative of x by the positions solved for (alpha_f of a time step).
 
         Returns:
-            The contact.
+            The contact; where it is shared, with the tangent of this rank's pairs.
 
         Raises:
             ValueError: x has a wrong shape, or alpha is out of range.
             SolveError: x is not finite, as after a failed solve.
         """
-        positions, alpha = self._checked(x), checks.positive("alpha", alpha)
-        pairs, gap, r = self._interacting(positions)
+        given = self._checked(x), tangent, positive, checks.positive("alpha", alpha)
+        if self._comm is None:
+            return self._evaluated(*given)
+        return of_all_ranks(self._comm, lambda: self._evaluated(*given))
+
+    def _evaluated(self, x: FloatArray, tangent: bool, positive: bool, alpha: float) -> ContactForces:
+        """That of all pairs, or of this rank's."""
+        pairs, gap, r = self._interacting(x)
         apart = r >= COINCIDENT * self.kernel.r_max
         inverse = np.divide(1.0, r, out=np.zeros_like(r), where=apart)
         direction = inverse[:, None] * gap
@@ -189,13 +178,13 @@ class SelfContact:
         weight = self.quadrature.weights[pairs].prod(axis=1)
         slope = weight * self.kernel.slope(r)
         w = self.quadrature.rational
-        forces = _ends(pairs, len(w), -1.0) @ (slope[:, None] * direction) / w[:, None]
+        forces = ends(pairs, len(w), -1.0) @ (slope[:, None] * direction) / w[:, None]
         matrix = None
         if tangent:
             along, across = alpha * weight * self.kernel.curvature(r), alpha * slope * inverse
             if positive:
                 along, across = np.maximum(along, 0.0), np.maximum(across, 0.0)
-            matrix = _assemble(pairs, _stiffness(direction, along, across), w)
+            matrix = assembled(pairs, stiffness(direction, along, across), w)
         return ContactForces(
             energy=float(weight @ self.kernel.energy(r)),
             forces=forces,
@@ -207,7 +196,7 @@ class SelfContact:
         )
 
     def closing_speed(self, x: ArrayLike, velocity: FloatArray, dt: float) -> float:
-        """Largest speed at which two points approach each other that might interact within a time step.
+        """Largest speed at which two points approach each other that might interact within a time step (collective).
 
         Args:
             x: present positions of the points, shape (nodes, d); unit: length.
@@ -222,11 +211,17 @@ class SelfContact:
             SolveError: x is not finite.
         """
         positions = self._checked(x)
+        if self._comm is None:
+            return self._closing(positions, velocity, dt)
+        return largest(self._comm, lambda: self._closing(positions, velocity, dt))
+
+    def _closing(self, x: FloatArray, velocity: FloatArray, dt: float) -> float:
+        """That of all pairs, or of this rank's."""
         fastest = 2.0 * float(np.sqrt(np.einsum("ni,ni->n", velocity, velocity)).max(initial=0.0))
         reach = self.kernel.r_max + min(fastest * dt, MOST_APPROACH * self.kernel.r_max)
-        pairs = self._search(positions, reach)
-        gap, r = _gaps(positions, pairs)
-        rate = np.einsum("pi,pi->p", gap, _gaps(velocity, pairs)[0])
+        pairs = self._search(x, reach)
+        gap, r = gaps(x, pairs)
+        rate = np.einsum("pi,pi->p", gap, gaps(velocity, pairs)[0])
         return float(-np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0).min(initial=0.0))
 
     def _checked(self, x: ArrayLike) -> FloatArray:
@@ -243,19 +238,24 @@ class SelfContact:
         slack = 0.5 * SKIN * self.kernel.r_max / np.sqrt(x.shape[1])
         if self._searched_at is None or np.abs(x - self._searched_at).max(initial=0.0) > slack:
             self._found, self._searched_at = self._search(x, reach), x.copy()
-        gap, r = _gaps(x, self._found)
+        gap, r = gaps(x, self._found)
         close = r < self.kernel.r_max
         return self._found[close], gap[close], r[close]
 
     def _search(self, x: FloatArray, reach: float) -> IndexArray:
-        """All admissible pairs closer than ``reach``, in ascending order, shape (pairs, 2)."""
-        tree = cKDTree(x[self._used], balanced_tree=False, compact_nodes=False)
-        pairs = self._used[tree.query_pairs(reach, output_type="ndarray")]
-        far = _gaps(self.quadrature.points, pairs)[1] > self.r_self
+        """Admissible pairs closer than ``reach``, all or this rank's, in ascending order, shape (pairs, 2)."""
+        x_used = x[self._used]
+        if self._comm is None:
+            tree = cKDTree(x_used, balanced_tree=False, compact_nodes=False)
+            found = tree.query_pairs(reach, output_type="ndarray")
+        else:
+            found = own_pairs(self._comm, x_used, reach)
+        pairs = self._used[found]
+        far = gaps(self.quadrature.points, pairs)[1] > self.r_self
         if len(self._allowed):
             far |= np.isin(self._keys(pairs), self._allowed, assume_unique=True)
         pairs = pairs[far]
-        return pairs[_by_column(pairs[:, 1], pairs[:, 0], np.arange(len(pairs)), len(x)).data]
+        return pairs[by_column(pairs[:, 1], pairs[:, 0], np.arange(len(pairs)), len(x)).data]
 
     def _keys(self, pairs: IndexArray) -> IndexArray:
         """One number for every pair, in whatever order its points are given."""
@@ -266,50 +266,5 @@ class SelfContact:
         if not self._warned:
             self._warned = True
             log.warning("contact: %d pairs of points are in the same place; they are pushed back apart", len(pairs))
-        gap, r = _gaps(self.quadrature.points, pairs)
+        gap, r = gaps(self.quadrature.points, pairs)
         return gap / r[:, None]
-
-
-def _gaps(x: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Vectors from the first to the second point of pairs, and their lengths."""
-    gap = np.take(x, pairs[:, 1], axis=0)
-    gap -= np.take(x, pairs[:, 0], axis=0)
-    return gap, np.sqrt(np.einsum("pi,pi->p", gap, gap))
-
-
-def _ends(pairs: IndexArray, n: int, first: float) -> sp.csc_matrix:
-    """Matrix (n, pairs) that adds a pair's value to its second point and ``first`` times it to its first."""
-    m = len(pairs)
-    signs = np.tile([first, 1.0], m)
-    return sp.csc_matrix((signs, pairs.ravel(), np.arange(0, 2 * m + 1, 2)), shape=(n, m))
-
-
-def _by_column(rows: IndexArray, columns: IndexArray, values: IndexArray, n: int) -> sp.csc_matrix:
-    """Distinct entries sorted by columns and then by rows, in linear time."""
-    table = sp.coo_matrix((values, (rows, columns)), shape=(n, n))
-    table.has_canonical_format = True  # no entry twice: nothing to sum
-    return table.tocsr().tocsc()
-
-
-def _stiffness(direction: FloatArray, along: FloatArray, across: FloatArray) -> FloatArray:
-    """Blocks ``along r r + across (I - r r)`` of pairs, shape (pairs, d, d)."""
-    blocks = direction[:, :, None] * direction[:, None, :]
-    blocks *= (along - across)[:, None, None]
-    for i in range(direction.shape[1]):
-        blocks[:, i, i] += across
-    return blocks
-
-
-def _assemble(pairs: IndexArray, blocks: FloatArray, w: FloatArray) -> sp.bsr_matrix:
-    """Sum over pairs of their block on both diagonals and minus it off them, for homogeneous nodal values."""
-    (m, d, _), n = blocks.shape, len(w)
-    touching = np.zeros(n, dtype=bool)
-    touching[pairs] = True
-    nodes = np.flatnonzero(touching)
-    diagonal = (_ends(pairs, n, 1.0) @ blocks.reshape(m, d * d))[nodes].reshape(-1, d, d) / w[nodes, None, None] ** 2
-    values = np.concatenate([-blocks / w[pairs].prod(axis=1)[:, None, None], diagonal])
-    number, (i, j) = np.arange(len(values)), pairs.T
-    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
-    order = _by_column(rows, columns, np.concatenate([number[:m], number]), n)  # symmetric: as good as by rows
-    data = np.take(values, order.data, axis=0)
-    return sp.bsr_matrix((data, order.indices, order.indptr), shape=(n * d, n * d))

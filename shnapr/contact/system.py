@@ -3,6 +3,7 @@
 from typing import Any
 
 import ufl
+from mpi4py import MPI
 from dolfinx import fem
 from petsc4py import PETSc
 
@@ -58,6 +59,12 @@ class ContactSystem(SplineSystem):
         self._time = time
         self.positive = positive
 
+    def share(self, comm: MPI.Comm) -> None:
+        """Share the pairs as well, see the base class."""
+        super().share(comm)
+        if self._part is not None:
+            self.contact.share(comm)
+
     def positions(self) -> FloatArray:
         """Points at which contact acts, at the intermediate level of a time step, shape (nodes, nsd); unit: length."""
         y = self._y.x.array if self._time is None else self._time.x_alpha_array()
@@ -66,6 +73,11 @@ class ContactSystem(SplineSystem):
     def _contact(self, *, tangent: bool) -> ContactForces:
         alpha = 1.0 if self._time is None else self._time.x_factor
         return self.contact.evaluate(self.positions(), tangent=tangent, positive=self.positive, alpha=alpha)
+
+    def _of_pairs(self) -> Any:
+        """Tangent of contact; None: no points interact."""
+        found = self._contact(tangent=True)
+        return found.tangent if found.pairs else None
 
     def assemble_residual(self, load: FloatArray | None = None) -> float:
         """Assemble and extract the residual with contact, see the base class."""
@@ -78,9 +90,9 @@ class ContactSystem(SplineSystem):
 
     def renew_contact(self) -> None:
         """Assemble the tangent of contact anew and keep that of the form."""
-        self.extract_tangent(self._contact(tangent=True).tangent)
+        self.extract_tangent(self._of_pairs())
 
     def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: Any = None) -> None:
         """Assemble and extract the tangent with contact, see the base class."""
-        own = self._contact(tangent=True).tangent
-        super().assemble_tangent(diagonal, own if pairs is None else own + pairs)
+        own = self._of_pairs()
+        super().assemble_tangent(diagonal, pairs if own is None else own if pairs is None else own + pairs)

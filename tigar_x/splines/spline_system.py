@@ -1,6 +1,6 @@
 """Systems on splines: ``M^T A M``, ``M^T b``. Increments are subtracted, as in :mod:`tigar_x.fem.solve`."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,6 +18,7 @@ from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen,
 
 if TYPE_CHECKING:
     from tigar_x.fem.factors import Factors
+    from tigar_x.splines.part import Part
 
 
 class SplineSystem:
@@ -57,6 +58,7 @@ class SplineSystem:
         compat.free_dropped(space.V.mesh.comm)
         self.space = space
         self.unknown = unknown
+        self._forms = residual, tangent
         self._residual, self._tangent = compat.compile_forms(residual, tangent)
         self._A_fe = compat.create_matrix(self._tangent, "aij")
         self._b_fe = compat.create_vector(space.V)
@@ -79,7 +81,28 @@ class SplineSystem:
         self._recipe = chosen(solver, direct(), prefix)
         self._solver: PreparedSolver | None = None
         self._factors: Factors | None = None
+        self._part: Part | None = None
+        self._by_factors = False
         self.iterations = 0
+
+    def share(self, comm: MPI.Comm) -> None:
+        """Integrate and extract a part on each of the ranks that hold the spline whole (collective), from here on.
+
+        Whatever integrates or extracts is collective then. Forms that cannot be confined to elements stay whole. What
+        MUMPS would solve is solved by :class:`tigar_x.fem.factors.Factors`, of which bands take less.
+
+        Args:
+            comm: the ranks; one alone has nothing to share.
+        """
+        if comm.size == 1 or self._part is not None:
+            return
+        from tigar_x.splines.part import Part, confined  # one rank needs nothing of it
+
+        if confined(*self._forms):
+            self._part = Part(comm, self.space, *self._forms)
+            self._A_fe.destroy()
+            self._own = self._A = None
+            self._by_factors = self._recipe == direct()
 
     @property
     def has_tangent(self) -> bool:
@@ -102,14 +125,23 @@ class SplineSystem:
         Returns:
             Euclidean norm of the extracted residual.
         """
-        compat.assemble_vector(self._b_fe, self._residual)
+        part = self._part
+        if part is None:
+            self._integrate_residual(self._residual, load)
+        else:
+            here = load if part.comm.rank == 0 else None
+            part.whole(self.b, lambda: self._integrate_residual(part.residual, here))
+        self.b.array_w[self._zero_local] = 0.0
+        return float(self.b.norm())
+
+    def _integrate_residual(self, form: Any, load: FloatArray | None) -> None:
+        """Overwrite ``b`` by a compiled residual and nodal values, extracted."""
+        compat.assemble_vector(self._b_fe, form)
         if load is not None:
             with self._b_fe.localForm() as local:
                 local.array_w += load.ravel()
         self._b_fe.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         self.space.M.multTranspose(self._b_fe, self.b)
-        self.b.array_w[self._zero_local] = 0.0
-        return float(self.b.norm())
 
     def extract(self, nodal: FloatArray) -> FloatArray:
         """``M^T`` of nodal values, zero at the zero dofs.
@@ -136,9 +168,12 @@ class SplineSystem:
         """
         if self._A is None:
             return 0.0
-        self._dx_fe.array_w[:] = nodal.ravel()[: self._dx_fe.getLocalSize()]
-        self._A_fe.mult(self._dx_fe, self._diagonal)
-        self.space.M.multTranspose(self._diagonal, self._product)
+        if self._part is not None:
+            self._product.array_w[:] = self._part.product(nodal)
+        else:
+            self._dx_fe.array_w[:] = nodal.ravel()[: self._dx_fe.getLocalSize()]
+            self._A_fe.mult(self._dx_fe, self._diagonal)
+            self.space.M.multTranspose(self._diagonal, self._product)
         self._product.array_w[self._zero_local] = 0.0
         return float(self._product.norm())
 
@@ -162,7 +197,7 @@ class SplineSystem:
         Args:
             diagonal: values to add to the diagonal of the finite element matrix, shape (nodes, nsd).
             pairs: finite element matrix of forces between any nodes, such as contact, over the dofs (node * nsd +
-                component) of a spline that lives on one rank.
+                component) of a spline that lives on one rank; where that is shared, each rank's share of them.
         """
         self.integrate_tangent(diagonal)
         self.extract_tangent(pairs)
@@ -173,6 +208,9 @@ class SplineSystem:
         Args:
             diagonal: see there.
         """
+        if self._part is not None:
+            self._part.integrate(diagonal)
+            return
         compat.assemble_matrix(self._A_fe, self._tangent)
         self._A_fe.assemble()
         if diagonal is not None:
@@ -185,7 +223,11 @@ class SplineSystem:
         Args:
             pairs: see there.
         """
-        if self._own is None:
+        if self._part is not None:
+            first, self._own = self._own is None, self._part.extracted()
+            if first:
+                self._refuse_empty_rows(self._own)
+        elif self._own is None:
             self._A_fe_M = self._A_fe.matMult(self.space.M)
             self._own = self._M_T.matMult(self._A_fe_M)
             self._own.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -194,8 +236,9 @@ class SplineSystem:
         else:
             self._A_fe.matMult(self.space.M, result=self._A_fe_M)
             self._M_T.matMult(self._A_fe_M, result=self._own)
-        if pairs is not None and pairs.nnz:
-            self._bind(self._with_pairs(self._own, pairs))
+        between = None if pairs is None else self._extracted(pairs)
+        if between is not None and between.nnz:
+            self._bind(self._with_pairs(self._own, between))
         elif self._A is not self._own:
             self._bind(self._own)
         self.A.zeroRowsColumns(self._zero, diag=1.0)
@@ -215,13 +258,21 @@ class SplineSystem:
             self._A.destroy()
         self._A, self._solver = A, PreparedSolver(self._recipe, A)
 
-    def _with_pairs(self, form_part: PETSc.Mat, pairs: sp.spmatrix) -> PETSc.Mat:
-        """Extracted tangent with the forces between nodes."""
+    def _extracted(self, pairs: sp.spmatrix) -> sp.csr_matrix:
+        """What forces between nodes are between coefficients."""
         rows = self.space.rows
         if rows.shape[0] != pairs.shape[0]:
             raise ValueError(f"pairs has shape {pairs.shape}: a spline on one rank with {rows.shape[0]} dofs is needed")
+
+        def extracted() -> sp.csr_matrix:
+            return (rows.T @ (pairs @ rows)).tocsr() if pairs.nnz else sp.csr_matrix((rows.shape[1],) * 2)
+
+        return extracted() if self._part is None else self._part.gathered(extracted)
+
+    def _with_pairs(self, form_part: PETSc.Mat, between: sp.csr_matrix) -> PETSc.Mat:
+        """Extracted tangent with the forces between coefficients."""
         indptr, columns, values = form_part.getValuesCSR()
-        total = sp.csr_matrix((values, columns, indptr), shape=form_part.size) + (rows.T @ (pairs @ rows)).tocsr()
+        total = sp.csr_matrix((values, columns, indptr), shape=form_part.size) + between
         total.sort_indices()
         csr = (total.indptr.astype(PETSc.IntType), total.indices.astype(PETSc.IntType), total.data)
         A = PETSc.Mat().createAIJ(total.shape, csr=csr, comm=form_part.comm)
@@ -239,10 +290,10 @@ class SplineSystem:
         """
         if self._solver is None:
             raise SolveError("no tangent has been assembled yet")
-        if self._factors is None:
+        if self._factors is None and not self._by_factors:
             self.iterations = self._solver.solve(self.b, self._dx)
         else:
-            self._dx.array_w[:], self.iterations = self._factors.solve(self.b.array_r), 1
+            self._dx.array_w[:], self.iterations = self.inverse(self.b.array_r), 1
         return self._dx
 
     def inverse(self, load: FloatArray) -> FloatArray:
