@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.fem.nodes import RowNodes
-from tigar_x.fem.petsc_options import chosen
+from tigar_x.fem.petsc_options import chosen, of_one_rank
 from tigar_x.fem.recipes import (
     LARGE,
     MEDIUM,
@@ -48,15 +48,6 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 _prefixes = itertools.count()
-
-
-def _of_one_rank(options: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Options without a Schwarz method, whose only subdomain solver takes its place, unless the user chose it."""
-    if options.get("pc_type") != "asm" or any(key == "pc_type" or key.startswith("pc_asm") for key in overrides):
-        return options
-    inner = {key.removeprefix("sub_"): value for key, value in options.items() if key.startswith("sub_")}
-    rest = {key: value for key, value in options.items() if not key.startswith(("sub_", "pc_asm", "pc_type"))}
-    return {"pc_type": "asm", **inner, **rest}
 
 
 def _check_ranks(recipe: LinearSolver, A: PETSc.Mat) -> None:
@@ -133,7 +124,7 @@ class PreparedSolver:
         # with the user's prefix PETSc finds what the user has given by itself, and knows that it was used
         self._prefix = (recipe.prefix or "") if recipe.overrides else f"tigar_x_{next(_prefixes)}_"
         if A.comm.size == 1:
-            options = _of_one_rank(options, recipe.overrides)
+            options = of_one_rank(options, recipe.overrides)
         for key in set(recipe.overrides) - {*options, "mat_type"}:  # taken by another name: PETSc would call it unused
             PETSc.Options(self._prefix).getString(key, "")
         self._options = {self._prefix + key: value for key, value in options.items() if key not in recipe.overrides}

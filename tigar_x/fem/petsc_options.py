@@ -178,3 +178,21 @@ def put(options: dict[str, str | None]) -> None:
         table.setValue(name, value)
     if options and not table.hasName("options_left"):
         table.setValue("options_left", True)
+
+
+def of_one_rank(options: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Options without Schwarz methods, whose only subdomain solver takes their place, unless the user chose them.
+
+    Args:
+        options: a recipe's, without its prefix; those of multigrid's levels are looked at as well.
+        overrides: what the user has given.
+
+    Returns:
+        The options.
+    """
+    for level in ("", "mg_levels_"):
+        pc, schwarz, sub = level + "pc_type", level + "pc_asm", level + "sub_"
+        if options.get(pc) == "asm" and not any(key == pc or key.startswith(schwarz) for key in overrides):
+            inner = {level + key.removeprefix(sub): value for key, value in options.items() if key.startswith(sub)}
+            options = {key: value for key, value in options.items() if not key.startswith((pc, schwarz, sub))} | inner
+    return options

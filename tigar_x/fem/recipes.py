@@ -205,8 +205,9 @@ def gmres_sor(*, rtol: float = 1e-8, max_iterations: int = 100, fallback: Linear
 def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: LinearSolver | None = None) -> LinearSolver:
     """Flexible GMRES with algebraic multigrid of smoothed aggregation on whole nodes (PETSc's GAMG).
 
-    Two steps of GMRES with incomplete LU smooth the levels, one block a rank; MUMPS solves the coarsest, whose null
-    space it detects: that of the pressure in an enclosed flow is in all levels, and its last pivot is rounding.
+    Two steps of GMRES with incomplete LU smooth the levels, one overlapping block a rank; MUMPS solves the coarsest,
+    whose null space it detects: that of the pressure in an enclosed flow is in all levels, and its last pivot is
+    rounding.
     Iterations grow slowly with the number of unknowns, and so does memory; the set-up costs as much as ten iterations
     of others.
 
@@ -230,7 +231,8 @@ def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: Linear
         "pc_gamg_coarse_eq_limit": 20_000,
         "mg_levels_ksp_type": "gmres",
         "mg_levels_ksp_max_it": 2,
-        "mg_levels_pc_type": "bjacobi",
+        "mg_levels_pc_type": "asm",
+        "mg_levels_pc_asm_overlap": 2,
         "mg_levels_sub_pc_type": "ilu",
         "mg_levels_sub_pc_factor_levels": 1,
         "mg_levels_sub_pc_factor_mat_ordering_type": "rcm",
