@@ -14,7 +14,7 @@ They change the recipe that would have been used, whose fallbacks stay as they a
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
