@@ -147,6 +147,28 @@ def test_solves_matrices_that_change_and_keeps_what_serves():
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("weak", [False, True])
+def test_what_is_kept_is_not_made_again_when_the_matrix_has_changed(weak):
+    A = blocked_matrix()
+    plain = nodes_of(A)
+    pc, _ = prepared(A, replace(plain, weak=lambda: plain.x[:, 0] > 0.4) if weak else plain)
+    b, x = loads(A)
+    pc.apply(b, x)
+    fill(A, 3.0)
+    pc.setReusePreconditioner(True)
+    pc.setUp()
+    y = x.duplicate()
+    pc.apply(b, y)
+    assert (y - x).norm() < 1e-12 * x.norm()
+    pc.setReusePreconditioner(False)
+    A.stateIncrease()
+    pc.setUp()
+    pc.apply(b, y)
+    assert (y - x).norm() > 1e-3 * x.norm()
+    pc.destroy()
+
+
+@pytest.mark.mpi
 def test_falls_back_to_mumps_by_name(caplog):
     A = blocked_matrix()
     b, x = loads(A)
