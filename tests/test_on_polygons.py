@@ -1,5 +1,7 @@
 """Surfaces that meet the fluid on polygons: averages, areas, action and reaction, the same on all ranks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,6 +11,7 @@ from test_enriched_space import ball, plate
 from test_nearest_surfaces import grid, moebius, surfaces
 
 from coudalfish.surface.enriched import Enriching
+from coudalfish.surface.in_space import DividedSpace
 from coudalfish.surface.on_polygons import OnPolygons
 from tigar_x import compat
 
@@ -153,3 +156,24 @@ def test_all_partitions_see_the_same(surface):
         found.append((meeting.W, seen, of_all_points(meeting, normals_of(surface))[0]))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-13)
+
+
+def sheet(low):
+    """A bent sheet of fine cells that begins in the cube and leaves it, or lies in it."""
+    return surfaces(grid(24, lambda u, v: np.column_stack([low + 0.7 * u, 0.15 + 0.7 * v, 0.47 + 0.1 * u * v])))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("low", [0.15, 0.5])
+def test_points_are_as_dense_where_the_nearest_triangles_are_known_as_where_they_are_sought(low):
+    e = Enriching(compat.lagrange_space(mesh.create_unit_cube(COMM, 5, 5, 5), 1), kinked=False)
+    fine = sheet(low)
+    zero = e(fine).zero
+    divided = DividedSpace.__new__(DividedSpace)
+    divided._enriching, divided._kinked = e, False
+    known = COMM.allreduce(int((zero.nearest >= 0).sum()))
+    assert 20 < known < COMM.allreduce(len(zero.rows))  # others are parts, cut at edges
+    kept, sought = (divided._points_of(z, fine) for z in (zero, replace(zero, nearest=None)))
+    assert COMM.allreduce(len(kept.areas)) > COMM.allreduce(len(zero.quadrature(2, 0.25).areas))
+    for name in ("cells", "barycentric", "areas", "x", "normals"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(sought, name))

@@ -6,7 +6,7 @@ two ends touch the surface is tight, and a gap of a cell and more lets the fluid
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any, Protocol
@@ -291,7 +291,8 @@ class Enriching:
         zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
         middles, around = zero.middles(), far[zero.rows]
         at_ends = interface.near_ends(middles, BEHIND[self._d] * around)
-        everywhere = Sought(np.arange(len(middles)), AROUND * sizes[zero.rows])
+        reach = AROUND * sizes[zero.rows]
+        everywhere = Sought(np.arange(len(middles)), reach)
         near = interface.nearest(middles, everywhere, Sought(at_ends, REACH * around[at_ends]))
         off, largest = np.abs(near.signed_distance()), np.abs(cut.values).max(axis=1, initial=0.0)
         real = zero.of_cells(np.where(off <= OFF_LINE * largest[zero.rows], 0.0, 1.0)) == 0.0
@@ -300,6 +301,8 @@ class Enriching:
         start, end = corners[cell, a[edge]], corners[cell, b[edge]]
         real[cell[interface.crossed(start, end, CONTINUED * sizes[cell])]] = True
         kept = real[zero.rows]
+        if self._d == 3:
+            zero = replace(zero, nearest=near.triangle(reach))  # type: ignore[attr-defined]
         covered = self._covering(zero.only(kept), interface, sizes[zero.rows[kept]], near.covered()[kept])
         return zero, real, covered
 

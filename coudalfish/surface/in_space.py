@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from coudalfish.surface.boundary import Attaching
+from coudalfish.surface.covering import AROUND
 from coudalfish.surface.divided_mesh import DividedMesh
 from coudalfish.surface.enriched import Enrichment
 from coudalfish.surface.films import Films
@@ -39,7 +40,7 @@ MOST = 8
 """Parts into which edges are divided at most: more are for points that meet, as at poles of patches."""
 UNSEEN = 0.1
 """Share of a surface's area in which its points are too close to each other for that, before a warning."""
-BESIDE = 0.5
+BESIDE = AROUND
 """Distance of a polygon from the surface, in sizes of its cell, up to which it sees it."""
 ATTACHED = 0.1
 """Distance from the boundary, in sizes of cells, within which an edge of a surface is attached to it in a step."""
@@ -106,12 +107,22 @@ class DividedSpace(DividedMesh):
         long = np.flatnonzero(needed > spacings.min(initial=np.inf))
         if not len(long):
             return zero.quadrature(QUADRATURE, small)
-        middles, reach = zero.only(long).middles(), BESIDE * self._enriching.sizes[zero.cut.cells[zero.rows[long]]]
-        found = surfaces.nearest(middles, Sought(np.arange(len(middles)), reach)).of_triangles(spacings)
-        there, parts = np.where(found > 0.0, found, np.inf), np.zeros(len(needed))
+        there = self._spacings_at(zero.only(long), surfaces)
+        parts = np.zeros(len(needed))
         fine = np.clip(np.ceil(zero.lengths[long] / (FINE * there)), 1, MOST)
         parts[long] = np.where(needed[long] > there, fine, 0)
         return zero.finer(parts.astype(int), QUADRATURE, small)
+
+    def _spacings_at(self, zero: ZeroSet, surfaces: Surfaces) -> FloatArray:
+        """Spacings of the surface's points at polygons, infinite where none is in reach, shape (n,)."""
+        spacings = np.append(np.where(surfaces.spacings > 0.0, surfaces.spacings, np.inf), np.inf)
+        nearest = np.full(len(zero.rows), -1)
+        if zero.nearest is not None:  # what has been cut at a free edge has another middle
+            nearest[:] = zero.nearest
+        sought = np.flatnonzero(nearest < 0)
+        middles, reach = zero.only(sought).middles(), BESIDE * self._enriching.sizes[zero.cut.cells[zero.rows[sought]]]
+        nearest[sought] = surfaces.nearest(middles, Sought(np.arange(len(middles)), reach)).triangle(reach)
+        return np.asarray(spacings[nearest])
 
     def _films_of(self, surfaces: Surfaces, load: Callable[[], FloatArray], *nodes: Any) -> Films:
         """See :class:`coudalfish.surface.films.Films`."""

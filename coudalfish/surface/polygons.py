@@ -30,12 +30,15 @@ class ZeroSet:
         corners: their vertices, shape (cut, d + 1, d); unit: length.
         rows: number of the cut cell of each, shape (n,).
         barycentric: coordinates of its vertices there, shape (n, d, d + 1).
+        nearest: number of the surface's triangle that is nearest to its middle, -1: not known, shape (n,); None: it is
+            not known of any.
     """
 
     cut: CutCells
     corners: FloatArray
     rows: IntArray
     barycentric: FloatArray
+    nearest: IntArray | None = None
 
     def __post_init__(self) -> None:
         checks.freeze(self)
@@ -75,12 +78,18 @@ class ZeroSet:
 
     def only(self, chosen: Any) -> "ZeroSet":
         """Some of the simplices."""
-        return ZeroSet(self.cut, self.corners, self.rows[chosen], self.barycentric[chosen])
+        return ZeroSet(self.cut, self.corners, self.rows[chosen], self.barycentric[chosen], self._known[chosen])
 
     def joined(self, other: "ZeroSet") -> "ZeroSet":
         """These and other ones of the same cells."""
         rows = np.concatenate([self.rows, other.rows])
-        return ZeroSet(self.cut, self.corners, rows, np.concatenate([self.barycentric, other.barycentric]))
+        places, nearest = ([a, b] for a, b in zip(*((z.barycentric, z._known) for z in (self, other)), strict=True))
+        return ZeroSet(self.cut, self.corners, rows, np.concatenate(places), np.concatenate(nearest))
+
+    @property
+    def _known(self) -> IntArray:
+        """See :attr:`nearest`."""
+        return np.full(len(self.rows), -1) if self.nearest is None else self.nearest
 
     def middles(self) -> FloatArray:
         """Of the simplices, shape (n, d)."""

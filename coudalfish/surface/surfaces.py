@@ -259,6 +259,12 @@ class NearestOnSurfaces:
         """Number of the nearest sheet, -1 where a point is farther, shape (m,)."""
         return self._spread(self.surfaces.net.sheet[self.places.triangle[self._first]], -1)
 
+    def triangle(self, reach: FloatArray) -> IntArray:
+        """Number of the nearest triangle, -1 where a point is farther than a reach, one for each, shape (m,)."""
+        k = self._first
+        near = self.places.distance[k] <= reach[self.places.point[k]]
+        return self._spread(np.where(near, self.places.triangle[k], -1), -1)
+
     def covered(self) -> Any:
         """Whether the nearest place is not beyond a free edge, shape (m,); farther points are not covered."""
         k = self._first

@@ -8,6 +8,7 @@ run it.
 
 from tigar_x.compat.algebra import (
     accumulate,
+    add_ghosts,
     add_matrix,
     add_vector,
     apply_values,
@@ -124,6 +125,7 @@ __all__ = [
     "owned_cells",
     "shortest_edges",
     "accumulate",
+    "add_ghosts",
     "add_matrix",
     "add_vector",
     "apply_values",

@@ -75,9 +75,14 @@ def petsc_vector(function: fem.Function) -> PETSc.Vec:
     return function.vector if VERSION < (0, 9) else function.x.petsc_vec
 
 
+def add_ghosts(function: fem.Function) -> None:
+    """Add the values of ghosts to those of their owners (collective); ghosts keep what they have."""
+    function.x.scatter_reverse(_ADD)
+
+
 def accumulate(function: fem.Function) -> None:
     """Add the values of ghosts to those of their owners, and update the ghosts (collective)."""
-    function.x.scatter_reverse(_ADD)
+    add_ghosts(function)
     function.x.scatter_forward()
 
 

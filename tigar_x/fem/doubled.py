@@ -204,7 +204,7 @@ class DoubledSystem(FiniteElementSystem):
         for part in np.split(local, 2):
             if self._comm.size > 1:
                 self._number.x.array[:] = part
-                compat.accumulate(self._number)
+                compat.add_ghosts(self._number)
                 part = self._number.x.array.copy()
             totals.append(part)
         vector.array_w[:] = self._owned(totals[0], totals[1] * self.second.ravel())
