@@ -61,8 +61,10 @@ class TwoLevel:
             self._lay_out(A)
         self._coarse.make(compat.block_values(A))
         self._repaired()
+        self.smoother.setReusePreconditioner(False)
         self.smoother.setUp()
         self.smoother.setUpOnBlocks()
+        self.smoother.setReusePreconditioner(True)  # where both levels are kept, its matrix may have changed meanwhile
 
     setUp = set_up  # as PETSc calls it
 
@@ -101,9 +103,7 @@ class TwoLevel:
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Y = M^-1 x (collective)."""
-        self._coarse.correct(x.array_r, self._z.array_w)
-        self._A.mult(self._z, self._rest)
-        self._rest.aypx(-1.0, x)
+        self._coarse.correct(x.array_r, self._z.array_w, self._rest.array_w)
         self.smoother.apply(self._rest, y)
         y.axpy(1.0, self._z)
 
@@ -137,6 +137,8 @@ def _named_columns(A: PETSc.Mat, pattern: Any) -> Any:
 class Coarse:
     """The coarse level: constants for each component in aggregates of nodes, solved on every rank.
 
+    The rows of A P, about two blocks each, are kept: they take less time than a product with A, and no messages.
+
     Args:
         A: the matrix.
         pattern: of its blocks.
@@ -160,15 +162,17 @@ class Coarse:
         self._number = number
         self._restrict = sp.csr_matrix((np.ones(own), (number, np.arange(own))), shape=(mine, own))
         column = continued((number + first).astype(np.float64)).astype(np.int64)[pattern.columns]
-        keys, place = np.unique(number[pattern.rows] * self._total + column, return_inverse=True)
-        blocks = len(place)
-        sums = sp.csr_matrix((np.ones(blocks), place, np.arange(blocks + 1)), shape=(blocks, len(keys))).T.tocsr()
-        inside = int(np.searchsorted(pattern.columns >= own, True))
-        self._sums = sums[:, :inside], sums[:, inside:]
+        keys, self._sums = _sums(pattern.rows * self._total + column)
+        rows, columns = np.divmod(keys, self._total)
+        self._inside = int(np.searchsorted(pattern.columns >= own, True))
+        starts = np.searchsorted(rows, np.arange(own + 1))
+        blocks, shape = np.zeros((len(keys), bs, bs)), (bs * own, bs * self._total)
+        self._product = sp.bsr_matrix((blocks, columns, starts), shape=shape)
         held = np.argwhere(nodes.held)
         self._held = pattern.diagonal[held[:, 0]], held[:, 1]
-        pairs = np.searchsorted(keys, (number * self._total + number + first)[held[:, 0]])
-        self._held_place = np.ravel_multi_index((pairs, held[:, 1], held[:, 1]), (len(keys), bs, bs))
+        pairs = np.searchsorted(keys, held[:, 0] * self._total + first + number[held[:, 0]])
+        self._held_place = pairs, held[:, 1], held[:, 1]
+        keys, self._sums_of_rows = _sums(number[rows] * self._total + columns)
         empty = (self._restrict @ self._free) == 0.0
         self._lay_out(keys + first * self._total, empty, nodes.floating)
 
@@ -195,11 +199,13 @@ class Coarse:
         Args:
             values: blocks of the matrix.
         """
-        bs, n = self._bs, self._bs * self._total
-        mine = sum(part @ blocks.reshape(-1, bs * bs) for part, blocks in zip(self._sums, values, strict=False))
-        mine = np.ascontiguousarray(mine).ravel()
+        bs, n, inside = self._bs, self._bs * self._total, self._inside
+        parts = zip((self._sums[:, :inside], self._sums[:, inside:]), values, strict=False)
+        product = sum(part @ blocks.reshape(-1, bs * bs) for part, blocks in parts).reshape(-1, bs, bs)
         blocks, component = self._held
-        np.subtract.at(mine, self._held_place, values[0][blocks, component, component])
+        product[self._held_place] -= values[0][blocks, component, component]
+        self._product.data[:] = product.transpose(0, 2, 1)
+        mine = np.ascontiguousarray(self._sums_of_rows @ product.reshape(-1, bs * bs)).ravel()
         every = np.empty(sum(self._parts))
         self._comm.Allgatherv(mine, (every, self._parts))
         if not np.isfinite(every).all():
@@ -217,13 +223,21 @@ class Coarse:
             options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
             self._solve = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
 
-    def correct(self, x: FloatArray, z: FloatArray) -> None:
-        """Z = P (P' A P)^-1 P' x, for this rank's values (collective)."""
+    def correct(self, x: FloatArray, z: FloatArray, rest: FloatArray) -> None:
+        """Z = P (P' A P)^-1 P' x and x - A z, for this rank's values (collective)."""
         bs = self._bs
         mine = np.ascontiguousarray(self._restrict @ (x.reshape(-1, bs) * self._free)).ravel()
         every = np.empty(bs * self._total)
         self._comm.Allgatherv(mine, (every, self._counts))
         if self._pinned >= 0:
             every[self._pinned] = 0.0
-        solved = self._solve(every).reshape(-1, bs)[self._range]
-        z.reshape(-1, bs)[:] = solved[self._number] * self._free
+        solved = self._solve(every)
+        z.reshape(-1, bs)[:] = solved.reshape(-1, bs)[self._range][self._number] * self._free
+        rest[:] = x - self._product @ solved
+
+
+def _sums(keys: IntArray) -> tuple[IntArray, sp.csr_matrix]:
+    """The different keys, and what sums that which belongs to the same one, shape (different keys, keys)."""
+    different, place = np.unique(keys, return_inverse=True)
+    shape = len(keys), len(different)
+    return different, sp.csr_matrix((np.ones(len(keys)), place, np.arange(len(keys) + 1)), shape=shape).T.tocsr()
