@@ -14,7 +14,7 @@ import numpy as np
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.mesh_motion import check_levels
-from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides, undone
+from coudalfish.sides.objects import ImmersedFlow, ImmersedShell, both_sides, fluid_side, undone
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.attempt import Outcome, Start, Step
 from coudalfish.step.attempts import attempts, usual
@@ -96,27 +96,64 @@ class CouDALFISh(checks.Made):
     ) -> None:
         self.fluid, self.shell = both_sides(fluid, shell)
         self.options = usual(self.fluid) if options is None else options
-        self.mesh_f = self.fluid.mesh
         self.spline_sh = self.shell.spline
-        self.timeInt_f = self.fluid.timeInt
         self.timeInt_sh = self.shell.timeInt
         self.contactContext_sh = self.shell.contact
-        self._check()
+        self._take(self.fluid)
+        self.watch = Watch(self.fluid, self.shell)
         self.lam = self._initial(multiplier)
+        self.floors: tuple[float, float] | None = None
+        self._pair()
+        self._is_made = True
+
+    def _take(self, fluid: FluidSubproblem) -> None:
+        """Take over a side of the fluid, and what is made for it (collective)."""
+        self.fluid, self.mesh_f, self.timeInt_f = fluid, fluid.mesh, fluid.timeInt
+        self._check()
         self.locator = PointLocator(self.mesh_f)
         of_points = self.shell.sheets, self.shell.quadrature.weights
-        on_polygons = self.fluid.sides is not None and self.mesh_f.geometry.dim == 3
+        on_polygons = fluid.sides is not None and self.mesh_f.geometry.dim == 3
         kind = "nodes" if on_polygons else self.options.trace  # polygons then have the exact trace
-        self._meets = meets(kind, self.fluid.velocity_space, *of_points)
-        self.floors: tuple[float, float] | None = None
-        self.watch = Watch(self.fluid, self.shell)
-        self._attempts = self.options, attempts(self.options, self.fluid, self.shell)
+        self._meets = meets(kind, fluid.velocity_space, *of_points)
+        self._attempts = self.options, attempts(self.options, fluid, self.shell)
+
+    def _pair(self) -> None:
+        """Tell the integrators that others advance with them."""
         self.timeInt_sh.partner = self.timeInt_f
         for integrator in self.integrators:
             if integrator is not self.timeInt_sh:
                 integrator.partner = self.timeInt_sh
-        self.shell.share(self.fluid.comm)
-        self._is_made = True
+
+    def move_to(self, fluid: FluidSubproblem | ImmersedFlow) -> None:
+        """Go on with another flow, such as the same one on another mesh, from the present state (collective).
+
+        It gets the state of the present one, see :func:`coudalfish.sides.transfer.transfer`, and its clock; shell,
+        multiplier and warnings stay. Between two steps; what fails leaves everything as it was.
+
+        Args:
+            fluid: see the class; of the same scheme, on a fixed mesh of the same region, and coupled with nothing.
+
+        Raises:
+            ValueError: it does not fit.
+        """
+        from coudalfish.sides.transfer import transfer  # runs on one mesh need nothing of it
+
+        side, old = fluid_side(fluid), self.fluid
+        if side.timeInt.partner is not None or side.moving is not None or old.moving is not None:
+            raise ValueError(f"fluid = {fluid!r}: a flow on a fixed mesh that is coupled with nothing is required")
+        if (type(side), side.timeInt.scheme) != (type(old), old.timeInt.scheme):
+            raise ValueError(f"fluid = {fluid!r}: a flow with the fields and the scheme of {old!r} is required")
+        transfer(old, side)
+        self._is_made = False
+        try:
+            self._take(side)
+        except BaseException:
+            self._take(old)
+            raise
+        finally:
+            self._is_made = True
+        self.watch.move_to(side)
+        self._pair()
 
     def __repr__(self) -> str:
         time = self.timeInt_f

@@ -58,7 +58,7 @@ FLOORS = tuple(
         "coudalfish.intervals coudalfish.restart",
         "coudalfish.run",
         "coudalfish.coupler",
-        "coudalfish.problems coudalfish.valves",
+        "coudalfish.refinement coudalfish.problems coudalfish.valves",
         "coudalfish.valve_pictures",
         "coudalfish",
         "coudalfish.cli",

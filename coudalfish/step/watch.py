@@ -107,13 +107,17 @@ class Watch:
     """
 
     def __init__(self, fluid: FluidSubproblem, shell: ShellSubproblem) -> None:
-        self._fluid, self._shell = fluid, shell
-        self._sizes = extent(fluid.mesh)
-        self._directions = directions(fluid.system.constrained, fluid.velocity_dofs, fluid.comm)
+        self._shell = shell
+        self.move_to(fluid)
         self._exceeded: dict[str, tuple[float, Figure]] = {}  # since when, and how much at the start of this step
-        self._speed: float | None = None
         self._slip = SlipWindow()
         self._warned: set[str] = set()
+
+    def move_to(self, fluid: FluidSubproblem) -> None:
+        """Watch the steps of another side of the fluid from here on (collective)."""
+        self._fluid, self._sizes = fluid, extent(fluid.mesh)
+        self._directions = directions(fluid.system.constrained, fluid.velocity_dofs, fluid.comm)
+        self._speed: float | None = None
 
     def warn_once(self, key: str, message: str, *numbers: Any) -> None:
         """Log a warning on rank 0 the first time it applies."""

@@ -137,8 +137,12 @@ class PointLocator:
         size = np.abs(self.corners).max()
         return compat.bounding_box_tree(self._mesh, INSIDE * max(float(size), 1e-300), self._displaced)
 
-    def _search(self, x: FloatArray) -> IntArray:
-        """Cells of points by the tree, -1 where this rank has none; ties go to the cell that holds it deepest."""
+    def search(self, x: FloatArray) -> IntArray:
+        """Cells of this rank that contain points, -1 where there is none; ties go to the cell that holds it deepest.
+
+        Args:
+            x: positions, which may differ from rank to rank, shape (points, d); unit: length.
+        """
         found = np.full(len(x), -1, dtype=np.int32)
         if not (len(self._origins) and len(x)):
             return found
@@ -180,7 +184,7 @@ class PointLocator:
         cells, active = self._claim(cells)
         missing = np.flatnonzero(~active)
         if len(missing):
-            cells[missing], active[missing] = self._claim(self._search(x[missing]))
+            cells[missing], active[missing] = self._claim(self.search(x[missing]))
         self.cells = cells
         barycentric = np.zeros((len(x), x.shape[1] + 1))
         mine = np.flatnonzero(cells >= 0)
