@@ -24,15 +24,21 @@ def load_demo(name: str) -> ModuleType:
     return module
 
 
-def on_ranks(ranks: int, *arguments: Any) -> Any:
+def on_ranks(ranks: int, *arguments: Any, preload: Path | None = None) -> Any:
     """Run this interpreter with arguments on a number of ranks; what it prints last, as JSON.
+
+    Args:
+        ranks: how many.
+        arguments: a program and its arguments.
+        preload: a library that is loaded before all others.
 
     Raises:
         RuntimeError: the run failed.
     """
     env = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_", "PMIX_", "PMI_", "OPAL_"))}
     env |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-    command = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable, *map(str, arguments)]
+    before = [] if preload is None else ["env", f"LD_PRELOAD={preload}"]
+    command = ["mpirun", "-n", str(ranks), "--oversubscribe", *before, sys.executable, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, env=env)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
