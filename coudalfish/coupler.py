@@ -104,6 +104,7 @@ class CouDALFISh(checks.Made):
         self.lam = self._initial(multiplier)
         self.floors: tuple[float, float] | None = None
         self._pair()
+        self.shell.share(self.fluid.comm)
         self._is_made = True
 
     def _take(self, fluid: FluidSubproblem) -> None:

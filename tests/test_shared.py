@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from mpi4py import MPI
+from scenes import sheet_in_flow
 from test_contact_system import GAP, beams
 
 COMM = MPI.COMM_WORLD
@@ -71,3 +72,8 @@ def test_ranks_get_the_same_to_the_last_digit_and_integrate_less():
         pairs = len(shared.contact._found)
         assert COMM.allreduce(pairs) == len(whole.contact._found)
         assert pairs < max(1, len(whole.contact._found))
+
+
+def test_a_coupled_shell_is_shared_by_the_ranks_of_the_flow():
+    fsi = sheet_in_flow().fsi
+    assert fsi.shell.system.is_shared == (COMM.size > 1)

@@ -105,6 +105,11 @@ class SplineSystem:
             self._by_factors = self._recipe == direct()
 
     @property
+    def is_shared(self) -> bool:
+        """Whether each rank integrates and extracts a part, see :meth:`share`."""
+        return self._part is not None
+
+    @property
     def has_tangent(self) -> bool:
         """Whether a tangent has been assembled."""
         return self._A is not None
