@@ -17,7 +17,7 @@ def aortic_root(
     *,
     size: float,
     swept_size: float | None = None,
-    swept: tuple[float, float] = (-0.1, 1.0),
+    swept: tuple[float, float] = (-0.15, 1.25),
     radius: float = 1.1,
     bottom: float = -0.5,
     top: float = 2.0,
@@ -33,7 +33,8 @@ def aortic_root(
         comm: communicator; only rank 0 calls gmsh.
         size: of the cells; unit: length, as for all that follows.
         swept_size: of the cells where leaflets move, from where they grow; None: ``size``.
-        swept: lowest and highest third coordinate of that region, which is as wide as the cylinder.
+        swept: lowest and highest third coordinate of that region, which is as wide as the cylinder; the free edges of
+            the open valve reach up to 1.19, the bellies of the closing one down to -0.12.
         radius: of the cylinder.
         bottom: third coordinate of the inlet.
         top: third coordinate of the outlet.
