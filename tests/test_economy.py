@@ -26,6 +26,8 @@ SIDES = (
 )
 """For fields that know the sides of a surface."""
 CONVERGED = ("coudalfish.step.condensed", "coudalfish.step.converged", "coudalfish.surface.hats")
+FOLLOWING = ("coudalfish.refinement", "coudalfish.sides.transfer", "varmint.mesh.refined")
+"""For meshes that are made anew on the way."""
 ONE_MATERIAL = ("shnapr.hyperelastic", "shnapr.mixed", "shnapr.planes", "tigar_x.geometry.surfaces")
 
 # What a scene has not: modules, and features of forms by the fields that bring them.
@@ -34,9 +36,9 @@ UNUSED = {
     "steady_cavity": (*SPLINES, *OUTPUT),
     "static_shell": (*FLOWS, *OUTPUT, *CONTACT, "tigar_x.splines.saved", "tigar_x.geometry.files"),
     "touching_shell": (*FLOWS, *OUTPUT),
-    "coupled": (*OUTPUT, *CONTACT, *ONE_MATERIAL, *SIDES, *CONVERGED),
-    "sharp": (*OUTPUT, *CONTACT, *ONE_MATERIAL, *SPACE),
-    "coupled_in_space": (*OUTPUT, *CONTACT, *ONE_MATERIAL, *SIDES, *CONVERGED),
+    "coupled": (*OUTPUT, *FOLLOWING, *CONTACT, *ONE_MATERIAL, *SIDES, *CONVERGED),
+    "sharp": (*OUTPUT, *FOLLOWING, *CONTACT, *ONE_MATERIAL, *SPACE),
+    "coupled_in_space": (*OUTPUT, *FOLLOWING, *CONTACT, *ONE_MATERIAL, *SIDES, *CONVERGED),
     "beam_in_flow": SPLINES,
 }
 FIELDS = {
