@@ -8,7 +8,7 @@ from dolfinx import fem, mesh
 from flows import grid
 
 from tigar_x import compat
-from tigar_x.compat import spaces
+from tigar_x.compat import forms, spaces
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
@@ -277,3 +277,33 @@ def test_components_where_a_rank_has_no_cell(name, monkeypatch):
         place = dict(zip(parent.tolist(), expected.tabulate_dof_coordinates().tolist(), strict=True))
         assert sorted(rows) == sorted(parent)
         np.testing.assert_allclose(found.tabulate_dof_coordinates(), [place[row] for row in rows.tolist()], atol=1e-14)
+
+
+def pressed(space):
+    """Residual of a flow-like system, with divisions and roots."""
+    x, test = fem.Function(space), ufl.TestFunction(space)
+    x.interpolate(lambda X: np.stack([np.sin((k + 1.0) * X[0] + X[1]) for k in range(space.dofmap.index_map_bs)]))
+    u, v = x[0] * ufl.grad(x[1]), ufl.grad(test[0])
+    return x, (ufl.dot(u, v) / ufl.sqrt(1.0 + ufl.dot(u, u)) + x[2] * x[1] * test[1] + x[3] * v[0]) * ufl.dx
+
+
+@pytest.mark.mpi
+def test_flags_of_forms_in_tetrahedra_change_rounding_alone(monkeypatch):
+    given = []
+    compile_one = fem.form
+
+    def noted(form, **options):
+        given.append(next(iter(options.values()))["cffi_extra_compile_args"])
+        return compile_one(form, **options)
+
+    for cell, more in (("tetrahedron", forms.UNFUSED), ("triangle", [])):
+        space = compat.lagrange_space(grid(cell), 1, 4)
+        x, residual = pressed(space)
+        monkeypatch.setattr(forms.fem, "form", noted)
+        (made,) = compat.compile_forms(residual)
+        monkeypatch.undo()
+        assert given.pop() == [*compat.C_FLAGS, *more]
+        plain, unfused = np.zeros((2, len(x.x.array)))
+        compat.add_vector(unfused, made)
+        compat.add_vector(plain, compile_one(residual, **forms.JIT))
+        np.testing.assert_allclose(unfused, plain, rtol=0.0, atol=1e-14 * np.abs(plain).max())
