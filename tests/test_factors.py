@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from mpi4py import MPI
 
 from tigar_x.fem.factors import Factors
 from tigar_x.fem.linear import SolveError
@@ -43,6 +44,21 @@ def test_parts_are_factored_by_themselves():
     exact = np.linalg.solve(A, b)
     np.testing.assert_allclose(factors.solve(b), exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
     np.testing.assert_allclose(factors.solve(b[:, 2]), exact[:, 2], rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+
+
+@pytest.mark.mpi
+def test_ranks_share_the_parts():
+    comm, A, b = MPI.COMM_WORLD, two_parts_and_held_rows(), np.random.default_rng(2).standard_normal((180, 5))
+    b[::2, 0] = b[1::2, 1] = 0.0
+    whole, shared = Factors(stored(A)), Factors(stored(A), comm)
+    assert comm.allreduce(kinds(shared).count("_Band")) == 2
+    for load in (b, b[:, 2]):
+        found = shared.solve(load)
+        np.testing.assert_array_equal(found, whole.solve(load))
+        assert all(np.array_equal(other, found) for other in comm.allgather(found))
+    A[1] = 0.0
+    with pytest.raises(SolveError, match="singular"):
+        Factors(sp.csr_matrix(A), comm)
 
 
 def test_a_band_is_found_in_another_order():

@@ -17,10 +17,9 @@ are, so that all rows are forces.
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from coudalfish.sides.fluid import FluidSubproblem
@@ -28,6 +27,9 @@ from coudalfish.step.linearised import WEAK, Linearised, Preconditioner
 from tigar_x import compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError, keep_orthogonal
+
+if TYPE_CHECKING:
+    from coudalfish.step.seen import Seen
 
 RTOL = 1e-8
 """Residual of the linear solver relative to the first one of the step; 1e-6 is too much for closed chambers."""
@@ -103,6 +105,7 @@ class CondensedSystem:
         """
         at = self.at
         self._force = at.fluid.as_forces(at.beta)
+        self._seen = self._of_points()
         z = at.a_s * (at.P @ at.solve_shell(r_s))
         rhs = self._rhs.array_w
         rhs[: self._n] = b_f.array_r
@@ -135,6 +138,14 @@ class CondensedSystem:
             self._comm.Bcast(c)
         return norm, c
 
+    def _of_points(self) -> "Seen | None":
+        """What this rank sees of the points; None: it is the only one (collective)."""
+        if self._comm.size == 1:
+            return None
+        from coudalfish.step.seen import Seen  # one rank needs nothing of it
+
+        return Seen.of(self.at)
+
     def _at_nodes(self, values: FloatArray) -> FloatArray:
         """Velocities at the trace's nodes, out of this rank's entries of the flow, shape (nodes, d) (collective)."""
         at = self.at
@@ -158,28 +169,31 @@ class CondensedSystem:
 
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The product with the matrix (collective)."""
-        at, given, product, points = self.at, x.array_r, y.array_w, len(self.at.W)
+        at, given, product = self.at, x.array_r, y.array_w
         with placed(self._given, given[: self._n]) as flow, placed(self._result, product[: self._n]) as result:
             at.fluid.system.multiply(flow, result)
         a = self._at_nodes(given[: self._n])
-        m, a_f = self._functions, at.fluid.timeInt.x_factor
-        more = 0 if at.X_t is None else m
-        v = np.zeros(points + m + more)  # velocities at points, coefficients, powers beside: in one sum over ranks
-        v[:points] = (a_f * (at.trace.B @ a)).ravel()
-        v[points:][: self._own] = given[self._n :]
-        if at.X_t is not None:
-            v[points + m :] = a_f * (at.X_t @ a.ravel())
-        if self._comm.size > 1:
-            self._comm.Allreduce(MPI.IN_PLACE, v, op=MPI.SUM)
-        v, b, beside = v[:points], v[points : points + m], v[points + m :]
-        pushed = at.G @ b
-        w = at.moved(at.W * at.beta * v + pushed)
-        self._add(at.to_nodes(at.W * (at.beta * (v - w)) + pushed, b) - at.free * (at.part @ a), product[: self._n])
+        if self._seen is not None:
+            b = given[self._n :].copy() if self._own else np.empty(self._functions)
+            nodal, slip = self._seen.product(a, b)
+        else:
+            b = given[self._n :]
+            nodal, slip = self._coupled(a, b)
+        self._add(nodal, product[: self._n])
         product[: self._n] *= self._force
         if self._own:
-            slip = at.beta * (at.G_t @ (v - w)) - WEAK * (at.H_t @ pushed)
-            slip[: len(beside)] += at.beta * beside
             product[self._n :] = np.where(at.idle, b, slip)
+
+    def _coupled(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Forces on the trace's nodes, and beta times the rows of the multiplier, on one rank."""
+        at, a_f = self.at, self.at.fluid.timeInt.x_factor
+        v, pushed = (a_f * (at.trace.B @ a)).ravel(), at.G @ b
+        w = at.moved(at.W * at.beta * v + pushed)
+        nodal = at.to_nodes(at.W * (at.beta * (v - w)) + pushed, b) - at.free * (at.part @ a)
+        slip = at.beta * (at.G_t @ (v - w)) - WEAK * (at.H_t @ pushed)
+        if at.X_t is not None:
+            slip += at.beta * (a_f * (at.X_t @ a.ravel()))
+        return nodal, slip
 
     def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The upper triangular part, solved (collective)."""
@@ -187,10 +201,14 @@ class CondensedSystem:
         r = given[self._n :].copy() if self._own else np.empty(self._functions)
         if self._comm.size > 1:
             self._comm.Bcast(r)
-        b, forces = self.preconditioner.multiplier(r)
+        b = self.preconditioner.multiplier(r)
+        if self._seen is not None:
+            nodal = self._seen.nodal(self.preconditioner, -b)
+        else:
+            nodal = at.to_nodes(-self.preconditioner.forces(b), -b)
         rest = self.increment.array_w
         rest[:] = given[: self._n] / self._force
-        self._add(at.to_nodes(-forces, -b), rest)
+        self._add(nodal, rest)
         with placed(self._result, increment[: self._n]) as result:
             self.preconditioner.fluid.apply(self.increment, result)
         if self._own:

@@ -129,16 +129,18 @@ class Preconditioner:
 
     Attributes:
         at: as given, or a later state, whose fluid is taken.
+        made: as given.
+        bent: how the shell gives way to the multiplier's functions, shape (coefficients, functions).
         fluid: the fluid's preconditioner.
     """
 
     fluid: PETSc.PC
 
     def __init__(self, at: Linearised) -> None:
-        self.at = self._made = at
+        self.at = self.made = at
         loads = sp.csr_matrix(at.P_t @ at.G)
-        self._bent = at.solve_shell(loads.toarray())
-        S = at.a_s * (loads.T @ self._bent) + WEAK / at.beta * (at.G_t @ at.H).toarray()
+        self.bent = at.solve_shell(loads.toarray())
+        S = at.a_s * (loads.T @ self.bent) + WEAK / at.beta * (at.G_t @ at.H).toarray()
         S += at.fluid.timeInt.x_factor * self._by_fluid()
         S[at.idle, at.idle] = S.diagonal().max(initial=0.0) or 1.0
         if not np.isfinite(S).all() or not S.size:
@@ -148,7 +150,7 @@ class Preconditioner:
     def _by_fluid(self) -> FloatArray:
         """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
         at, diagonal = self.at, self.at.fluid.diagonal()
-        forces = at.G.toarray() - self._drag(self._bent)
+        forces = at.G.toarray() - self._drag(self.bent)
         if at.fluid.comm.size == 1:
             T, X, inverse = at.trace.B, at.X, at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
         else:
@@ -180,14 +182,17 @@ class Preconditioner:
         fluid.comm.Allreduce(MPI.IN_PLACE, inverse, op=MPI.SUM)
         return whole, X, inverse
 
-    def multiplier(self, r: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Increment of the multiplier's coefficients, and its forces at the points."""
-        b = -la.lu_solve(self._factors, r, check_finite=False) / self.at.beta
-        return b, self._made.G @ b - self._drag(self._bent @ b)
+    def multiplier(self, r: FloatArray) -> FloatArray:
+        """Increment of the multiplier's coefficients."""
+        return np.asarray(-la.lu_solve(self._factors, r, check_finite=False) / self.at.beta)
+
+    def forces(self, b: FloatArray) -> FloatArray:
+        """Forces of coefficients at the points."""
+        return np.asarray(self.made.G @ b - self._drag(self.bent @ b))
 
     def _drag(self, y: FloatArray) -> FloatArray:
         """Forces of the penalty at the points where the shell moves by its coefficients, or by columns of them."""
-        at = self._made
+        at = self.made
         return np.asarray((at.beta * at.a_s * (at.W * (at.P @ y).T)).T)
 
 

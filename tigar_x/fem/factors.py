@@ -11,9 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
+from mpi4py import MPI
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
+from tigar_x import ranks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.linear import SolveError
 
@@ -37,27 +39,46 @@ class Factors:
 
     Args:
         A: the matrix; zeros that it stores are removed.
+        comm: ranks that have the same matrix and share its parts, so that solves are collective; None: there are none.
 
     Raises:
         SolveError: it is singular.
     """
 
-    def __init__(self, A: sp.csr_matrix) -> None:
+    def __init__(self, A: sp.csr_matrix, comm: MPI.Comm | None = None) -> None:
         A.eliminate_zeros()
         self._parts: list[tuple[Any, _Inverse]] = []
+        self._comm: MPI.Comm | None = None
         if A.nnz <= FEW * np.count_nonzero(np.diff(A.indptr) > 1):
             self._parts.append((slice(None), _sparse(A)))
             return
         part = connected_components(A, directed=False)[1]
         sizes = np.bincount(part)
-        alone = np.flatnonzero(sizes[part] == 1)
-        self._parts.append((alone, _Diagonal.of(A.diagonal()[alone])))
-        for k in np.flatnonzero(sizes > 1):
-            rows = np.flatnonzero(part == k)
-            self._parts.append(_of_part(A[rows][:, rows], rows))
+        large = np.flatnonzero(sizes > 1)
+
+        def factored(mine: Any) -> FloatArray:
+            alone = np.flatnonzero((sizes[part] == 1) & mine[part])
+            self._parts.append((alone, _Diagonal.of(A.diagonal()[alone])))
+            for k in large[mine[large]]:
+                rows = np.flatnonzero(part == k)
+                self._parts.append(_of_part(A[rows][:, rows], rows))
+            return np.empty(0)
+
+        if comm is None or len(large) < 2:
+            factored(np.ones(len(sizes), dtype=bool))
+        else:
+            self._comm = comm
+            ranks.summed(comm, 0, lambda: factored(_shares(sizes, comm.size) == comm.rank))
 
     def solve(self, b: FloatArray) -> FloatArray:
         """The inverse times a vector, or each of some columns; those that are zero in a part cost nothing there."""
+        if self._comm is None:
+            return self._solved(b)
+        sums = ranks.summed(self._comm, b.size, lambda: self._solved(b).ravel(order="F"))
+        return sums.reshape(b.shape, order="F")
+
+    def _solved(self, b: FloatArray) -> FloatArray:
+        """That in the parts of this rank, zero elsewhere."""
         x = np.zeros_like(b, order="F")
         for rows, inverse in self._parts:
             given = b[rows]
@@ -67,6 +88,17 @@ class Factors:
             columns = np.flatnonzero(given.any(axis=0))
             x[np.ix_(np.arange(len(b))[rows], columns)] = inverse.solve(given[:, columns])
         return x
+
+
+def _shares(sizes: IntArray, number: int) -> IntArray:
+    """Which rank takes which part: each part, the largest ones first, is of the rank that has the least to do."""
+    work, owner = np.zeros(number), np.zeros(len(sizes), dtype=np.int64)
+    for k in np.argsort(-sizes, kind="stable"):
+        if sizes[k] == 1:
+            break
+        owner[k] = work.argmin()
+        work[owner[k]] += float(sizes[k]) ** 2
+    return owner.astype(np.int32)
 
 
 def _of_part(A: sp.csr_matrix, rows: IntArray) -> tuple[IntArray, _Inverse]:

@@ -319,7 +319,8 @@ class SplineSystem:
             from tigar_x.fem.factors import Factors  # few systems are asked for this
 
             indptr, columns, values = self.A.getValuesCSR()
-            self._factors = Factors(sp.csr_matrix((values, columns, indptr), shape=self.A.size))
+            comm = None if self._part is None else self._part.comm
+            self._factors = Factors(sp.csr_matrix((values, columns, indptr), shape=self.A.size), comm)
         return self._factors.solve(load)
 
     def add(self, u: fem.Function, increment: PETSc.Vec, factor: float = 1.0) -> None:
