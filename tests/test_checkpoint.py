@@ -1,6 +1,7 @@
 """Checkpoints: on any partition the same fields, whole or refused, and the last good one stays whatever happens."""
 
 import errno
+import json
 import logging
 import os
 import resource
@@ -15,8 +16,9 @@ from splines import WORLD, quarter
 from tigar_x import compat
 from tigar_x.ranks import on_root
 from tigar_x.run import checkpoint
+from tigar_x.run.archives import write_archive
 from tigar_x.run.checkpoint import Checkpoints
-from tigar_x.run.nodal import Nodes, difference, fingerprint
+from tigar_x.run.nodal import Nodes, difference, fingerprint, matching
 from tigar_x.splines.spline import ExtractedSpline
 
 SELF = MPI.COMM_SELF
@@ -154,12 +156,15 @@ def test_other_diagonals_that_no_low_moment_tells_apart_have_other_fingerprints(
 def test_rounding_is_no_other_mesh(distance, same):
     assert (difference(fingerprint(moved(SELF, distance)), fingerprint(square(SELF))) is None) == same
     nodes = Nodes(compat.lagrange_space(square(SELF), 1), "u")
-    x = moved(SELF, distance).geometry.x[:, :2]
+    x = moved(SELF, distance).geometry.x[::-1, :2]
+    here, there = nodes.find(x)
+    assert len(here) == len(x) - (not same)
+    np.testing.assert_allclose(x[there], nodes.x[here], rtol=0, atol=1e-13)
     if same:
-        np.testing.assert_allclose(x[nodes.match(x)], nodes.x, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(nodes.x[matching(nodes.x, x, nodes.close)], x, rtol=0, atol=1e-13)
         return
     with pytest.raises(ValueError, match="1e-07 away from those required"):
-        nodes.match(x)
+        matching(nodes.x, x, nodes.close)
 
 
 @pytest.mark.mpi
@@ -194,8 +199,19 @@ def series(folder, numbers=(1, 2), **options):
 
 
 def names(folder):
-    """Files in the folder, looked up by the rank that writes: another one might come late."""
-    return WORLD.bcast(on_root(WORLD, lambda: sorted(path.name for path in folder.iterdir())))
+    """Files in the folder, looked up by the rank that writes: another one might come late; parts are as many."""
+
+    def look():
+        found = sorted(path.name for path in folder.iterdir())
+        of_ranks = [name for name in found if name.endswith(".parts")]
+        written = [
+            name.replace(".npz", ".parts") for name in found if name[11:19].isdecimal() and name.endswith(".npz")
+        ]
+        assert of_ranks == (written if WORLD.size > 1 else [])
+        assert all(len(list((folder / name).iterdir())) == WORLD.size for name in of_ranks)
+        return [name for name in found if name not in of_ranks]
+
+    return WORLD.bcast(on_root(WORLD, look))
 
 
 @pytest.mark.mpi
@@ -224,7 +240,7 @@ def test_when_none_is_whole_it_is_said(folder):
     with pytest.raises(FileNotFoundError, match=r"checkpoint_00000003.npz: there is no such checkpoint"):
         checkpoints.find(3)
     checkpoints = series(folder)
-    on_root(WORLD, lambda: [path.write_bytes(b"PK") for path in folder.iterdir()])
+    on_root(WORLD, lambda: [path.write_bytes(b"PK") for path in folder.glob("*.npz")])
     with pytest.raises(FileNotFoundError, match=f"{folder}: there is no checkpoint that is whole"):
         checkpoints.find()
 
@@ -256,7 +272,7 @@ def test_contents_that_do_not_agree_with_their_digest_are_refused(folder):
     checkpoints = series(folder, (1,))
 
     def falsify():
-        path = folder / "checkpoint_00000001.npz"
+        path = next(path for path in (*folder.glob("*.parts/*.npz"), folder / "checkpoint_00000001.npz"))
         with np.load(path) as archive:
             arrays = {name: archive[name] for name in archive.files}
         arrays["values/u/0"][3] += 1e-12
@@ -270,12 +286,59 @@ def test_contents_that_do_not_agree_with_their_digest_are_refused(folder):
 @pytest.mark.mpi
 def test_another_format_is_refused_and_not_passed_over(folder, monkeypatch):
     checkpoints = series(folder, (1,))
-    monkeypatch.setattr(checkpoint, "FORMAT", 2)
+    monkeypatch.setattr(checkpoint, "FORMAT", 3)
     checkpoints.write(2, {})
     monkeypatch.undo()
-    with pytest.raises(ValueError, match=r"checkpoint_00000002.npz: format 2 was found, 1 is required"):
+    with pytest.raises(ValueError, match=r"checkpoint_00000002.npz: format 3 was found, 2 or less is required"):
         checkpoints.find()
     assert checkpoints.find(1).number == 1
+
+
+@pytest.mark.mpi
+def test_a_file_of_the_first_format_is_read_by_any_ranks(folder):
+    """It has all nodes and values, and no parts or shapes."""
+    one = Checkpoints(folder / "one", {"u": filled(SPACES["mixed"](SELF))})
+    head = {"format": 1, "number": 4, "meshes": one._meshes, "fields": {"u": 0}, "record": {"t": 0.5}}
+    arrays = {"head": np.array(json.dumps(head)), **one._arrays(shared=False)}
+    on_root(WORLD, lambda: write_archive(folder / "checkpoint_00000004.npz", arrays))
+    space = SPACES["mixed"](WORLD)
+    checkpoints = Checkpoints(folder, {"u": fem.Function(space)})
+    found = checkpoints.find()
+    assert (found.number, found.record) == (4, {"t": 0.5})
+    checkpoints.restore(found)
+    np.testing.assert_allclose(checkpoints.fields["u"].x.array, filled(space).x.array, rtol=0, atol=1e-13)
+
+
+@pytest.mark.mpi
+@pytest.mark.skipif(WORLD.size == 1, reason="one rank writes no parts")
+@pytest.mark.parametrize("damage", ["missing", "truncated", "of another run"])
+def test_one_with_a_damaged_part_is_passed_over(damage, folder):
+    checkpoints = series(folder)
+    one, two = (sorted(folder.glob(f"checkpoint_0000000{n}.parts/*"))[-1] for n in (1, 2))
+    WORLD.barrier()
+    harm = {
+        "missing": two.unlink,
+        "truncated": lambda: os.truncate(two, 99),
+        "of another run": lambda: two.write_bytes(one.read_bytes()),
+    }
+    on_root(WORLD, harm[damage])
+    with pytest.raises(ValueError, match=r"a part of a checkpoint is missing|truncated one|agree with their digest"):
+        checkpoints.find(2)
+    found = checkpoints.find()
+    assert found.number == 1
+    checkpoints.restore(found)
+    assert (checkpoints.fields["u"].x.array == 1.0).all()
+
+
+@pytest.mark.mpi
+def test_no_rank_writes_more_than_its_nodes(folder):
+    checkpoints = series(folder, (1,))
+    found, nodes = checkpoints.find(1), checkpoints._layouts[0].parts[0][0]
+    assert len(found.parts) == (WORLD.size if WORLD.size > 1 else 0)
+    for path in (found.path, *found.parts):
+        with np.load(path) as archive:
+            most = max([len(archive[name]) for name in archive.files if "/" in name], default=0)
+            assert most <= max(WORLD.allgather(len(nodes.x)))
 
 
 def test_pickled_objects_are_not_read(tmp_path):

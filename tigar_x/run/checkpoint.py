@@ -1,15 +1,17 @@
 """Checkpoints: fields and numbers of a run in one file, written at once or not at all, read on any number of ranks.
 
 A file is an uncompressed NumPy archive without pickled objects: the coordinates of nodes, the values of fields there,
-and a record in JSON with the format, fingerprints of the meshes and what the run adds, under one SHA-256 digest.
+and a record in JSON with the format, fingerprints of the meshes and what the run adds, under one SHA-256 digest. On
+several ranks each writes what it has of the distributed fields, into a folder beside the file; this is written last and
+has the digests of these parts. No field is whole anywhere but where every rank has it.
 """
 
-import hashlib
-import io
 import json
 import logging
+import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +20,19 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import checks
-from tigar_x.ranks import on_root
+from tigar_x.ranks import on_root, together
+from tigar_x.run.archives import DamagedError, read_archive, write_archive
 from tigar_x.run.nodal import Layout, difference, fingerprint
 from tigar_x.run.summary import plain
-from tigar_x.run.writing import replace_bytes
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
-"""Version of the file's layout."""
+FORMAT = 2
+"""Version of the file's layout; the first one had no parts."""
+PARTS = "checkpoint_{:08d}.parts"
+"""Name by number of the folder of the parts of the ranks."""
 NAME = "checkpoint_{:08d}.npz"
 """File name by number."""
-
-
-class DamagedError(ValueError):
-    """A checkpoint that is truncated or was changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +44,14 @@ class Checkpoint:
         number: under which it was written.
         record: what the run added, as JSON gives it back.
         fields: by name, where in the file its nodes are.
-        arrays: what is in the file, on rank 0; nothing on the others.
+        parts: files with what single ranks have written.
     """
 
     path: Path
     number: int
     record: dict[str, Any]
     fields: dict[str, int]
-    arrays: dict[str, Any]
+    parts: tuple[Path, ...]
 
 
 class Checkpoints:
@@ -102,34 +102,68 @@ class Checkpoints:
             ValueError: the record is not finite or no JSON.
         """
         path = self.folder / NAME.format(checks.whole("number", number, 0))
-        values = {name: self._layouts[k].gather(self.fields[name]) for name, k in self._layout.items()}
-        on_root(MPI.COMM_WORLD, lambda: self._write(path, number, plain(dict(record)), values))
+        head = {"format": FORMAT, "number": number, "meshes": self._meshes, "fields": self._layout, "record": record}
+        head |= {"shapes": self._shapes(), "parts": {}}
+        on_root(MPI.COMM_WORLD, lambda: _json(head))
+        written = self._write_part(number) if MPI.COMM_WORLD.size > 1 else None
+        try:
+            on_root(MPI.COMM_WORLD, lambda: self._write(path, number, head, written))
+        except Exception:
+            if written is not None:
+                _withdraw(self.folder / PARTS.format(number) / written[MPI.COMM_WORLD.rank][0])
+            raise
         return path
 
-    def _write(self, path: Path, number: int, record: dict[str, Any], values: dict[str, list[Any]]) -> None:
-        head = {
-            "format": FORMAT,
-            "number": number,
-            "meshes": self._meshes,
-            "fields": self._layout,
-            "record": record,
+    def _shapes(self) -> dict[str, list[list[int]]]:
+        """Numbers of nodes and components of all parts of fields."""
+        return {
+            name: [[nodes.count, dofs.shape[1]] for nodes, dofs in self._layouts[k].parts]
+            for name, k in self._layout.items()
         }
-        try:
-            arrays = {"head": np.array(json.dumps(head, allow_nan=False))}
-        except TypeError as error:
-            raise ValueError(f"record: JSON is required ({error})") from error
+
+    def _arrays(self, *, shared: bool) -> dict[str, Any]:
+        """Nodes of this rank and values there, of fields that are distributed or of those that every rank has whole."""
+        arrays: dict[str, Any] = {}
         for k, layout in enumerate(self._layouts):
-            arrays |= {f"nodes/{k}/{i}": np.asarray(nodes.x) for i, (nodes, _) in enumerate(layout.parts)}
-        for name, parts in values.items():
-            arrays |= {f"values/{name}/{i}": part for i, part in enumerate(parts)}
-        buffer = io.BytesIO()
-        np.savez(buffer, digest=np.array(_digest(arrays)), **arrays)
-        replace_bytes(path, buffer.getvalue())
+            if (layout.parts[0][0].comm.size > 1) is shared:
+                arrays |= {f"nodes/{k}/{i}": np.asarray(nodes.x) for i, (nodes, _) in enumerate(layout.parts)}
+                for name in (name for name, of in self._layout.items() if of == k):
+                    values = self.fields[name].x.array
+                    arrays |= {f"values/{name}/{i}": values[dofs] for i, (_, dofs) in enumerate(layout.parts)}
+        return arrays
+
+    def _write_part(self, number: int) -> list[tuple[str, str]]:
+        """Write this rank's part of the distributed fields (collective).
+
+        Returns:
+            Names of the files of all ranks, which no earlier one has, and their digests.
+        """
+        world = MPI.COMM_WORLD
+        name = f"{world.bcast(secrets.token_hex(4))}.{world.rank}.npz"
+        path = self.folder / PARTS.format(number) / name
+        try:
+            digest = together(world, lambda: write_archive(path, self._arrays(shared=True)))
+        except Exception:
+            _withdraw(path)
+            raise
+        return list(world.allgather((name, digest)))
+
+    def _write(self, path: Path, number: int, head: dict[str, Any], parts: list[tuple[str, str]] | None) -> None:
+        arrays = {"head": _json(head | {"parts": dict(parts or ())})}
+        write_archive(path, arrays | self._arrays(shared=False))
         numbers = self.numbers()
         for other in {*numbers[: numbers.index(number)], *numbers[numbers.index(number) + self.keep :]}:
             (self.folder / NAME.format(other)).unlink(missing_ok=True)
         for part in self.folder.glob(NAME.replace("{:08d}", "*") + ".part"):
             part.unlink(missing_ok=True)
+        for folder in self.folder.glob(PARTS.replace("{:08d}", "*")):
+            used = dict(parts or ()) if folder.name == PARTS.format(number) else None
+            whole = folder.with_suffix(".npz").exists()
+            for file in folder.iterdir():
+                if not whole or (used is not None and file.name not in used):
+                    file.unlink(missing_ok=True)
+            if not any(folder.iterdir()):
+                folder.rmdir()
 
     def numbers(self) -> list[int]:
         """Numbers of the checkpoints in the folder, the largest first (not collective)."""
@@ -153,43 +187,50 @@ class Checkpoints:
             FileNotFoundError: there is none.
             ValueError: it is damaged, of another format, or of other fields or meshes; the message says which.
         """
-        found = on_root(MPI.COMM_WORLD, lambda: self._find(which))
-        told: Checkpoint = MPI.COMM_WORLD.bcast(found and replace(found, arrays={}))
-        return found or told
-
-    def _find(self, which: int | str | Path) -> Checkpoint:
-        if str(which) == "latest":
-            for number in self.numbers():
-                path = self.folder / NAME.format(number)
-                try:
-                    return self._load(path)
-                except DamagedError as error:
-                    log.warning("%s; going back to the one before", error)
-            raise FileNotFoundError(f"{self.folder}: there is no checkpoint that is whole")
         name = str(which)
-        return self._load(self.folder / NAME.format(int(name)) if name.isdecimal() else Path(name))
+        if name != "latest":
+            return self._load(self.folder / NAME.format(int(name)) if name.isdecimal() else Path(name))
+        for number in MPI.COMM_WORLD.bcast(on_root(MPI.COMM_WORLD, self.numbers)):
+            try:
+                return self._load(self.folder / NAME.format(number))
+            except DamagedError as error:
+                if MPI.COMM_WORLD.rank == 0:
+                    log.warning("%s; going back to the one before", error)
+        raise FileNotFoundError(f"{self.folder}: there is no checkpoint that is whole")
 
     def _load(self, path: Path) -> Checkpoint:
-        arrays = _read(path)
+        """A checkpoint whose file rank 0 has looked at, and each rank at some of its parts."""
+        world = MPI.COMM_WORLD
+        head = world.bcast(on_root(world, lambda: self._head(path)))
+        folder, parts = path.with_suffix(".parts"), list(head.get("parts", {}).items())
+        together(world, lambda: _require(folder, parts[world.rank :: world.size]))
+        files = tuple(folder / name for name, _ in parts)
+        return Checkpoint(path, head["number"], head["record"], head["fields"], files)
+
+    def _head(self, path: Path) -> Any:
+        arrays = read_archive(path)
         head = json.loads(str(arrays["head"]))
-        if head["format"] != FORMAT:
-            raise ValueError(f"{path}: format {head['format']!r} was found, {FORMAT} is required")
+        if not 1 <= head["format"] <= FORMAT:
+            raise ValueError(f"{path}: format {head['format']!r} was found, {FORMAT} or less is required")
         if sorted(head["fields"]) != sorted(self._layout):
             raise ValueError(f"{path}: fields {sorted(head['fields'])} were found, {sorted(self._layout)} are required")
         for name, k in self._layout.items():
-            other = head["fields"][name]
-            if reason := difference(head["meshes"][other], self._meshes[k]):
+            if reason := difference(head["meshes"][head["fields"][name]], self._meshes[k]):
                 raise ValueError(f"{path}: {name} is on another mesh: {reason}")
-            for i, (nodes, dofs) in enumerate(self._layouts[k].parts):
-                values = arrays.get(f"values/{name}/{i}")
-                shape = None if values is None else values.shape
-                if shape != (nodes.count, dofs.shape[1]):
-                    required = f"{(nodes.count, dofs.shape[1])} (nodes, components) are required"
-                    raise ValueError(f"{path}: {name} is of another degree or size: {shape} were found, {required}")
-        return Checkpoint(path, head["number"], head["record"], head["fields"], arrays)
+            values = [
+                arrays.get(f"values/{name}/{i}") for i in range(len(self._layouts[k].parts))
+            ]  # of the first format
+            found = head.get("shapes", {name: [None if part is None else list(part.shape) for part in values]})[name]
+            if found != self._shapes()[name]:
+                texts = [
+                    ", ".join(str(part and tuple(part)) for part in parts) for parts in (found, self._shapes()[name])
+                ]
+                required = f"{texts[1]} (nodes, components) are required"
+                raise ValueError(f"{path}: {name} is of another degree or size: {texts[0]} were found, {required}")
+        return head
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Give the fields the values of a checkpoint.
+        """Give the fields the values of a checkpoint (collective); each rank reads those at its nodes.
 
         Args:
             checkpoint: as it was found.
@@ -197,43 +238,55 @@ class Checkpoints:
         Raises:
             ValueError: the nodes of a field lie elsewhere; the fields stay as they are.
         """
-        world, arrays, failure = MPI.COMM_WORLD, checkpoint.arrays, None
-        values: dict[str, list[Any]] = {name: [] for name in self.fields}
-        for name, k in self._layout.items():
-            for i, (nodes, _) in enumerate(self._layouts[k].parts):
-                found = arrays and (arrays[f"nodes/{checkpoint.fields[name]}/{i}"], arrays[f"values/{name}/{i}"])
-                if nodes.comm.size < world.size:
-                    found = world.bcast(found)
-                try:
-                    values[name].append(found[1][nodes.match(found[0])] if found else None)
-                except ValueError as error:
-                    failure = f"{checkpoint.path}: {name} is on another mesh: {error}"
-        if failures := [text for text in world.allgather(failure) if text]:
-            raise ValueError(failures[0])
+        values = together(MPI.COMM_WORLD, lambda: self._read(checkpoint))
         for name, parts in values.items():
-            self._layouts[self._layout[name]].scatter(self.fields[name], parts)
+            for (_, dofs), part in zip(self._layouts[self._layout[name]].parts, parts, strict=True):
+                self.fields[name].x.array[dofs] = part
+            self.fields[name].x.scatter_forward()
+
+    def _read(self, checkpoint: Checkpoint) -> dict[str, list[Any]]:
+        """Values of the fields at the nodes that this rank owns."""
+        values = {
+            name: [np.full(dofs.shape, np.nan) for _, dofs in self._layouts[k].parts]
+            for name, k in self._layout.items()
+        }
+        missing = {name: [np.ones(len(part), dtype=bool) for part in parts] for name, parts in values.items()}
+        for path in (checkpoint.path, *checkpoint.parts):
+            with np.load(path, allow_pickle=False) as archive:
+                for name, k in self._layout.items():
+                    for i, (nodes, _) in enumerate(self._layouts[k].parts):
+                        places = f"nodes/{checkpoint.fields[name]}/{i}"
+                        if places in archive.files:
+                            here, there = nodes.find(archive[places])
+                            values[name][i][here] = archive[f"values/{name}/{i}"][there]
+                            missing[name][i][here] = False
+        for name, parts in missing.items():
+            if left := sum(int(part.sum()) for part in parts):
+                raise ValueError(f"{checkpoint.path}: {name} is on another mesh: {left} nodes were not found")
+        return values
 
 
-def _digest(arrays: Mapping[str, Any]) -> str:
-    """SHA-256 over names, types, shapes and contents."""
-    total = hashlib.sha256()
-    for name in sorted(arrays):
-        array = arrays[name]
-        total.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        total.update(array.tobytes())
-    return total.hexdigest()
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """All arrays of a checkpoint that is whole."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: there is no such checkpoint")
+def _json(head: Mapping[str, Any]) -> Any:
+    """A head as an array."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        digest = str(arrays.pop("digest"))
-    except Exception as error:  # there is no end to what a damaged archive may raise
-        raise DamagedError(f"{path}: not a checkpoint, or a truncated one ({error})") from error
-    if digest != _digest(arrays):
-        raise DamagedError(f"{path}: the contents do not agree with their digest")
-    return arrays
+        return np.array(json.dumps(plain(dict(head)), allow_nan=False))
+    except TypeError as error:
+        raise ValueError(f"record: JSON is required ({error})") from error
+
+
+def _withdraw(path: Path) -> None:
+    """Delete the parts of a checkpoint that has failed on all ranks (collective)."""
+    path.unlink(missing_ok=True)
+    MPI.COMM_WORLD.barrier()
+    if MPI.COMM_WORLD.rank == 0:
+        with suppress(OSError):  # it has parts of an earlier checkpoint of this number
+            path.parent.rmdir()
+
+
+def _require(folder: Path, parts: list[tuple[str, str]]) -> None:
+    """Raise what a damaged checkpoint raises where one of some parts is missing or has another digest."""
+    for name, digest in parts:
+        try:
+            read_archive(folder / name, digest)
+        except FileNotFoundError as error:
+            raise DamagedError(f"{folder / name}: a part of a checkpoint is missing") from error

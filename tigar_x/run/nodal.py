@@ -1,11 +1,11 @@
 """Values at nodes and meshes, told apart without regard to how they are distributed over ranks.
 
-A field is known by the places of its nodes: gathered on one rank it belongs to no partition, and finds its nodes on any
-other by a k-d tree. A mesh is known by counts, its box, and sums over its cells of waves about as long as a cell: what
-moves a vertex or turns a diagonal changes them, another order of the cells does not.
+A field is known by the places of its nodes, by which it finds them on any other partition with a k-d tree. A mesh is
+known by counts, its box, and sums over its cells of waves about as long as a cell: what moves a vertex or turns a
+diagonal changes them, another order of the cells does not.
 """
 
-from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.ranks import gathered
 
 CLOSE = 1e-10
 """Distance within which two nodes are the same one, relative to the size of the mesh."""
@@ -93,7 +92,7 @@ def difference(found: dict[str, Any], required: dict[str, Any]) -> str | None:
 
 
 class Nodes:
-    """The nodes of a scalar Lagrange space on rank 0 of its communicator, and values on their way there and back.
+    """The nodes of a scalar Lagrange space that this rank owns.
 
     Args:
         space: scalar space of two or more nodes, none in the same place.
@@ -102,7 +101,7 @@ class Nodes:
     Attributes:
         comm: communicator of the mesh.
         count: number of nodes on all ranks.
-        x: coordinates of all nodes on rank 0, shape (nodes, geometric dimension); None on the others.
+        x: coordinates of this rank's nodes, shape (owned nodes, geometric dimension).
 
     Raises:
         ValueError: two nodes are in the same place, as in discontinuous spaces.
@@ -111,56 +110,59 @@ class Nodes:
     def __init__(self, space: fem.FunctionSpace, name: str) -> None:
         self.comm: MPI.Comm = space.mesh.comm
         index_map = space.dofmap.index_map
-        self.count = int(index_map.size_global)
-        self._owned = int(index_map.size_local)
-        self._counts = self.comm.allgather(self._owned)
-        self.x = self.gather(space.tabulate_dof_coordinates()[: self._owned, : space.mesh.geometry.dim])
-        apart = True
-        if self.x is not None:
-            self._tree = cKDTree(self.x)
-            self._close = CLOSE * float(np.linalg.norm(np.ptp(self.x, axis=0)))
-            apart = bool(self._tree.query(self.x, k=2)[0][:, 1].min() > 2.0 * self._close)
-        if not self.comm.bcast(apart):
+        self.count, d = int(index_map.size_global), space.mesh.geometry.dim
+        local = space.tabulate_dof_coordinates()[:, :d]
+        self.x: FloatArray = local[: index_map.size_local]
+        ends = np.concatenate([local.min(axis=0, initial=np.inf), -local.max(axis=0, initial=-np.inf)])
+        self.comm.Allreduce(MPI.IN_PLACE, ends, op=MPI.MIN)
+        self.close = CLOSE * float(np.linalg.norm(ends[:d] + ends[d:]))
+        apart = len(local) < 2 or bool(cKDTree(local).query(local, k=2)[0][:, 1].min() > 2.0 * self.close)
+        if not self.comm.allreduce(apart, op=MPI.LAND):
             raise ValueError(f"{name}: nodes in the same place, which cannot be told apart in a checkpoint")
 
-    def gather(self, values: FloatArray) -> FloatArray | None:
-        """Values of all nodes on rank 0, None elsewhere (collective).
+    def find(self, x: FloatArray) -> tuple[IntArray, IntArray]:
+        """Which of these nodes are among others.
 
         Args:
-            values: at the nodes that this rank owns, shape (owned, ...).
-        """
-        rows: FloatArray | None = gathered(self.comm, values)
-        return rows
-
-    def scatter(self, values: FloatArray | None) -> FloatArray:
-        """Values at the nodes that this rank owns (collective), shape (owned, ...).
-
-        Args:
-            values: of all nodes on rank 0, None elsewhere.
-        """
-        if values is not None and self.comm.size == 1:
-            return values
-        parts: Any = None if values is None else np.split(values, np.cumsum(self._counts)[:-1])
-        return np.asarray(self.comm.scatter(parts))
-
-    def match(self, x: FloatArray) -> IntArray:
-        """Where the nodes of this space are among others, on rank 0 only.
-
-        Args:
-            x: coordinates of the others in any order, shape (nodes, geometric dimension).
+            x: coordinates of the others, shape (nodes, geometric dimension).
 
         Returns:
-            The number among the others of every node.
-
-        Raises:
-            ValueError: their number or their places differ.
+            Numbers of nodes that this rank owns, and of the others in the same places.
         """
-        if len(x) != self.count:
-            raise ValueError(f"{len(x)} nodes were found, {self.count} are required")
-        distance, here = self._tree.query(x)
-        if not distance.max() <= self._close or len(np.unique(here)) < self.count:
-            raise ValueError(f"nodes were found that are up to {distance.max():.3g} away from those required")
-        return np.argsort(here).astype(np.int32)
+        none = np.empty(0, dtype=np.int32)
+        if not len(self.x) or not len(x) or x.shape[1] != self.x.shape[1]:
+            return none, none
+        low, high = self.x.min(axis=0) - self.close, self.x.max(axis=0) + self.close
+        others = np.flatnonzero(((x >= low) & (x <= high)).all(axis=1))
+        distance, here = self._tree.query(x[others], distance_upper_bound=2.0 * self.close)
+        found = distance <= self.close
+        return here[found].astype(np.int32), others[found].astype(np.int32)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.x)
+
+
+def matching(x: FloatArray, others: FloatArray, close: float) -> IntArray:
+    """Where each of some points is among the nodes of a mesh.
+
+    Args:
+        x: the nodes, shape (nodes, d); unit: length.
+        others: the points in any order, shape (nodes, d).
+        close: distance within which two are the same.
+
+    Returns:
+        The number among the nodes of every point.
+
+    Raises:
+        ValueError: their number or their places differ.
+    """
+    if len(others) != len(x):
+        raise ValueError(f"{len(others)} nodes were found, {len(x)} are required")
+    distance, here = cKDTree(x).query(others)
+    if not distance.max() <= close or len(np.unique(here)) < len(x):
+        raise ValueError(f"nodes were found that are up to {distance.max():.3g} away from those required")
+    return np.asarray(here, dtype=np.int32)
 
 
 class Layout:
@@ -191,13 +193,3 @@ class Layout:
                 places.append((space, x, []))
             places[same.index(True) if any(same) else -1][2].append(dofs[:owned])
         self.parts = [(Nodes(space, name), np.column_stack(dofs)) for space, _, dofs in places]
-
-    def gather(self, function: fem.Function) -> list[FloatArray | None]:
-        """Values of every part on rank 0, shape (nodes, components) each (collective)."""
-        return [nodes.gather(function.x.array[dofs]) for nodes, dofs in self.parts]
-
-    def scatter(self, function: fem.Function, values: Sequence[FloatArray | None]) -> None:
-        """Give a function the values of every part on rank 0, None elsewhere (collective)."""
-        for (nodes, dofs), part in zip(self.parts, values, strict=True):
-            function.x.array[dofs] = nodes.scatter(part)
-        function.x.scatter_forward()

@@ -18,7 +18,7 @@ from dolfinx import mesh
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.ranks import gathered, on_root
-from tigar_x.run.nodal import Nodes
+from tigar_x.run.nodal import Nodes, matching
 from tigar_x.run.output import Series, is_later
 from tigar_x.run.vertex_values import Components, VertexValues
 from tigar_x.run.writing import replace_bytes
@@ -85,8 +85,8 @@ class VTKHDFSeries(Series):
         self._owned = int(self._space.dofmap.index_map.size_local)
         grid = self._grid(domain)
         goes_on = after is not None and self._comm.bcast(self._path.exists())
-        nodes = Nodes(self._space, str(self._path)) if goes_on else None
-        on_root(self._comm, lambda: self._begin(grid) if nodes is None else self._continue(nodes, grid, after))
+        close = Nodes(self._space, str(self._path)).close if goes_on else None
+        on_root(self._comm, lambda: self._begin(grid) if close is None else self._continue(close, grid, after))
 
     def _grid(self, domain: mesh.Mesh) -> dict[str, Any]:
         """Arrays of the mesh under VTKHDF's names, on rank 0; nothing elsewhere (collective)."""
@@ -112,7 +112,7 @@ class VTKHDFSeries(Series):
             shutil.rmtree(self._steps)
         replace_bytes(self._steps / MESH, self._image(grid))
 
-    def _continue(self, nodes: Nodes, grid: dict[str, Any], after: Any) -> None:
+    def _continue(self, close: float, grid: dict[str, Any], after: Any) -> None:
         """Take over the earlier series up to a time; what is later goes once the index no longer refers to it."""
         try:
             with self._h5.File(self._path, "r") as file, self._h5.File(self._steps / MESH, "r") as whole:
@@ -132,7 +132,7 @@ class VTKHDFSeries(Series):
             found = f"fields {fields} on {cells} cells were found"
             raise ValueError(f"{self._path}: {found}, {required} on {self._counts['Types']} are required")
         try:
-            self._order = np.argsort(nodes.match(points[:, : self._space.mesh.geometry.dim]))
+            self._order = matching(grid["Points"], points, close)
         except ValueError as error:
             raise ValueError(f"{self._path}: another mesh ({error})") from error
         if is_fixed != self._is_fixed:

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 RESULTS = (
     *("summary.json", "history.csv", "*.pvd", "*.vtu", "*.xdmf", "*.h5", "*.vtkhdf", "*.steps/*.h5"),
-    *("checkpoints/checkpoint_*.npz", "frames/*.png"),
+    *("checkpoints/checkpoint_*.npz", "checkpoints/checkpoint_*.parts/*.npz", "frames/*.png"),
 )
 """What runs leave in their folders, but for pictures that any run draws again."""
 
