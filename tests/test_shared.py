@@ -77,3 +77,14 @@ def test_ranks_get_the_same_to_the_last_digit_and_integrate_less():
 def test_a_coupled_shell_is_shared_by_the_ranks_of_the_flow():
     fsi = sheet_in_flow().fsi
     assert fsi.shell.system.is_shared == (COMM.size > 1)
+
+
+@several
+def test_what_others_ask_of_the_contact_is_theirs_alone():
+    """Rank 0 may look at the energy of a shell that is coupled, and the others need not."""
+    system = beams(1e-3)[2]
+    contact = system.contact
+    system.share(COMM)
+    assert contact is not system.contact
+    if COMM.rank == 0:
+        contact.evaluate(system.positions(), tangent=False)

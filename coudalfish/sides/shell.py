@@ -161,13 +161,13 @@ class ShellSubproblem:
         return forces if forces is not None and forces.pairs else None
 
     def closing_ratio(self) -> float:
-        """Largest approach in a step of two points that may interact in it, relative to the range of contact."""
+        """Largest approach in a step of two points that may interact, relative to the range of contact (collective)."""
         if self.contact is None:
             return 0.0
         x, v, dt = self.positions(), self.velocity(), self.timeInt.step_size
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             return np.inf
-        return self.contact.closing_speed(x, v, dt) * dt / self.contact.kernel.r_max
+        return self.system.contact.closing_speed(x, v, dt) * dt / self.contact.kernel.r_max
 
     def renew_contact(self) -> None:
         """Bring the tangent's part of contact, and nothing else of it, to the present state."""

@@ -10,6 +10,7 @@ that is drawn closed, or stacked sheets. Here a pair is exempt when there is a s
 """
 
 import logging
+from copy import copy
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -101,14 +102,15 @@ class SelfContact:
         self._comm: MPI.Comm | None = None
         self._report(neighbours)
 
-    def share(self, comm: MPI.Comm) -> None:
-        """Evaluate a part of the pairs on each of the ranks that have the same positions, from here on.
+    def shared(self, comm: MPI.Comm) -> "SelfContact":
+        """The same contact, of which each rank evaluates a part of the pairs: all that is asked of it is collective.
 
         Args:
-            comm: the ranks; one alone has nothing to share.
+            comm: the ranks, which have the same positions.
         """
-        if comm.size > 1:
-            self._comm, self._searched_at = comm, None
+        other = copy(self)
+        other._comm, other._searched_at = comm, None
+        return other
 
     def __repr__(self) -> str:
         return f"SelfContact({len(self._used)} points, {self.kernel!r}, r_self = {self.r_self:g})"

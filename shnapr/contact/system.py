@@ -31,7 +31,7 @@ class ContactSystem(SplineSystem):
         prefix: of the PETSc options that go before the recipe's, see :mod:`tigar_x.fem.petsc_options`.
 
     Attributes:
-        contact: as given.
+        contact: as given, or that of a part of the pairs on each rank.
         positive: as given; it may be changed between tangents.
         forces: contact at the state of the last residual; None before the first one.
     """
@@ -61,9 +61,10 @@ class ContactSystem(SplineSystem):
 
     def share(self, comm: MPI.Comm) -> None:
         """Share the pairs as well, see the base class."""
+        before = self._part
         super().share(comm)
-        if self._part is not None:
-            self.contact.share(comm)
+        if self._part is not before:
+            self.contact = self.contact.shared(comm)
 
     def positions(self) -> FloatArray:
         """Points at which contact acts, at the intermediate level of a time step, shape (nodes, nsd); unit: length."""
