@@ -21,7 +21,7 @@ from coudalfish.valve_pictures import histories, leaflets_movie
 from coudalfish.valves import Leaflets, quantities
 from shnapr import ContactRecipe, Hyperelastic, LinearKernel, Shell, StVenantKirchhoff, lee_sacks
 from shnapr.stress import largest_principal, resultants
-from tigar_x import VTUSeries, checks, direct, disjoint, generalized_alpha, gmres_ilu, script, surfaces
+from tigar_x import VTUSeries, checks, direct, disjoint, generalized_alpha, gmres_ilu, script, surfaces, two_level
 from tigar_x.run.pictures import Colours
 from tigar_x.run.results import Results, with_results
 from tigar_x.splines.projection import Projected
@@ -93,26 +93,27 @@ class Valve:
         checks.not_negative("outlet_resistance", self.outlet_resistance)
         vars(self).update(preset=self.preset or ("plain" if self.outlet_resistance else "jump"))
 
-    def build(self, data: Data, options: CouplingOptions | None = None) -> tuple[Flow, Shell, CouDALFISh]:
-        """Blood and leaflets at rest, and both coupled."""
+    def build(self, data: Data, options: Any = None, solver: Any = None) -> tuple[Flow, Shell, CouDALFISh]:
+        """Blood and leaflets at rest, and both coupled by ``CouplingOptions``; the solver is that of the flow."""
         size, R = 2.0 * data.radius / self.resolution, self.outlet_resistance
         mesh = aortic_root(MPI.COMM_WORLD, size=self.grading * size, swept_size=size, radius=data.radius)
         inlet = Traction("inlet", lambda x, t: ufl.as_vector([0.0, 0.0, pressure(self.waveform, t, data)]))
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
-        fields, fill = {"jump": ("jump", 1), "sharp": ("jump and kink", 1)}.get(self.preset, ("plain", 2))
-        solver = FlowOptions(solver=gmres_ilu(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct()))
+        fields = {"jump": "jump", "sharp": "jump and kink"}.get(self.preset, "plain")
+        fill, kind = 1 + (self.preset == "reference"), two_level if fields == "plain" else gmres_ilu
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
-        flow = Flow(mesh, conditions, **known, immersed=fields, options=solver)
+        solver = solver or kind(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
+        flow = Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
         along = self.leaflet_elements or max(4, round(1.8 / size))
         elements = along, max(1 if self.leaflet_elements else 3, round(0.8 * along))
         geometry = disjoint(*surfaces.trileaflet(radius=data.radius, elements=elements, degrees=(self.degree,) * 2))
-        pericardium = Hyperelastic(lee_sacks(676080.0, 132848.0, 38.1878), data.leaflet.thickness)  # bovine
         structure = {"density": data.rho_s, "clamped": ("post_0", "post_1", "attachment"), "contact": data.contact}
-        material = data.leaflet if self.material == "svk" else pericardium
+        bovine = lee_sacks(676080.0, 132848.0, 38.1878)
+        material = data.leaflet if self.material == "svk" else Hyperelastic(bovine, data.leaflet.thickness)
         leaflets = Shell(geometry, material, **structure, quadrature_degree=4)
         published = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2)
-        jump = CouplingOptions.converged(fluid_tangent="consistent")
-        presets = {"reference": published, "jump": jump, "sharp": CouplingOptions.sharp()}
+        converged = CouplingOptions.converged(fluid_tangent="consistent")
+        presets = {"reference": published, "jump": converged, "sharp": CouplingOptions.sharp()}
         return flow, leaflets, CouDALFISh(flow, leaflets, options or presets.get(self.preset, CouplingOptions()))
 
 

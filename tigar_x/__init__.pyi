@@ -10,6 +10,7 @@ from tigar_x.fem.linear import direct as direct
 from tigar_x.fem.linear import gmres_ilu as gmres_ilu
 from tigar_x.fem.linear import gmres_sor as gmres_sor
 from tigar_x.fem.linear import multigrid as multigrid
+from tigar_x.fem.linear import two_level as two_level
 from tigar_x.fem.load_stepping import LoadReport as LoadReport
 from tigar_x.fem.load_stepping import StepControl as StepControl
 from tigar_x.fem.load_stepping import follow_load as follow_load

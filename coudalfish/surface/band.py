@@ -41,6 +41,7 @@ class SurfaceBand:
         self._vertex_dofs = compat.cell_dofs(vertices)
         self._vertices_by_corner = np.ascontiguousarray(self._vertex_dofs.T)
         self._mark = fem.Function(vertices, name="mark")
+        self._outside: fem.Function | None = None
         self.clear()
 
     def clear(self) -> None:
@@ -78,9 +79,12 @@ class SurfaceBand:
         Args:
             space: Lagrange space on the mesh, all components of which live at the same nodes.
         """
-        outside, size = fem.Function(space), space.dofmap.index_map_bs
-        at = outside.x.array.reshape(-1, size)
+        if self._outside is None or self._outside.function_space != space:
+            self._outside = fem.Function(space)
+        at = self._outside.x.array.reshape(-1, space.dofmap.index_map_bs)
         beyond = np.minimum(self.scale_m.x.array, self.scale_c.x.array)[self._cell_dof] >= 1.0
-        at[compat.cell_dofs(space)[beyond]] = 1.0
-        compat.accumulate(outside)
+        at[:] = 0.0
+        at[compat.cell_dofs(space)[beyond], 0] = 1.0
+        if space.mesh.comm.size > 1:
+            compat.accumulate(self._outside)
         return np.asarray(at[:, 0] == 0.0)

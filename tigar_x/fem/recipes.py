@@ -147,9 +147,10 @@ def two_level(
     rebuild_growth: float | None = None,
     fallback: LinearSolver | None = None,
 ) -> LinearSolver:
-    """Right-preconditioned GMRES with a coarse level and :func:`gmres_ilu`'s preconditioner after it.
+    """Flexible GMRES with a coarse level and :func:`gmres_ilu`'s preconditioner after it.
 
-    Its iterations hardly grow with the number of ranks or of unknowns, see :mod:`tigar_x.fem.two_level`.
+    Its iterations hardly grow with the number of ranks or of unknowns, see :mod:`tigar_x.fem.two_level`. The flexible
+    method keeps what the preconditioner gave, and saves its last application.
 
     Args:
         levels: levels of fill.
@@ -168,7 +169,8 @@ def two_level(
     """
     one = gmres_ilu(levels, rtol=rtol, max_iterations=max_iterations, overlap=overlap, rebuild_growth=rebuild_growth)
     size, last = checks.whole("aggregates", aggregates, 0), direct() if fallback is None else fallback
-    return replace(one, name=f"two_level({levels})", aggregates=size, fallback=last)
+    options = {**one.options, "ksp_type": "fgmres"}
+    return replace(one, name=f"two_level({levels})", options=options, aggregates=size, fallback=last)
 
 
 def _gmres(rtol: float, max_iterations: int) -> dict[str, str | int | float]:

@@ -22,14 +22,15 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.nodes import RowNodes, aggregates
 
-AGGREGATE, WIDE, MANY = 128, 256, 70_000
-"""Nodes of an aggregate; and from MANY nodes of all ranks on, where the coarse level would cost too much."""
+AGGREGATE = {0: 64, 20_000: 128, 70_000: 256}
+"""Nodes of an aggregate, from a number of nodes of all ranks on: more would make the coarse level too expensive."""
 MOST = 4_000
 """Aggregates of all ranks at most: beyond, they grow with the number of nodes."""
 DENSE = 600
 """Unknowns of the coarse level up to which its factors are dense."""
-REPAIR = 10.0
-"""Factor of weak couplings of pressures in the matrix that the smoother is made for."""
+REPAIR = 3.0
+"""Factor of weak couplings of pressures in the matrix that the smoother is made for; with 10, which needs as many
+iterations, a residual of the same size leaves ten times the error of these pressures."""
 _FLOATING_POINT = 72  # PETSc's code for a number that is not finite
 
 
@@ -151,7 +152,7 @@ class Coarse:
         comm = self._comm = A.comm.tompi4py()
         bs, own = pattern.size, pattern.own
         every = comm.allreduce(own, op=MPI.SUM)
-        size = size or max(AGGREGATE if every < MANY else WIDE, -(-every // MOST))
+        size = size or max(-(-every // MOST), *(nodes for start, nodes in AGGREGATE.items() if every >= start), 1)
         number = aggregates(nodes.x, size, nodes.group)
         mine = int(number.max(initial=-1)) + 1
         counts = comm.allgather(mine)
@@ -213,9 +214,9 @@ class Coarse:
         if self._pinned >= 0:
             every[(self._rows == self._pinned) | (self._columns == self._pinned)] = 0.0
         ones = self._ones if self._pinned < 0 else np.append(self._ones, self._pinned)
-        entries = np.append(every, np.ones(len(ones)))
+        known = np.append(every, np.ones(len(ones)))
         rows, columns = np.append(self._rows, ones), np.append(self._columns, ones)
-        A = sp.csc_matrix((entries, (rows, columns)), shape=(n, n))
+        A = sp.csc_matrix((known, (rows, columns)), shape=(n, n))
         if n <= DENSE:
             factors = la.lu_factor(A.toarray(), check_finite=False)
             self._solve = lambda b: la.lu_solve(factors, b, check_finite=False)
@@ -224,7 +225,7 @@ class Coarse:
             self._solve = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
 
     def correct(self, x: FloatArray, z: FloatArray, rest: FloatArray) -> None:
-        """Z = P (P' A P)^-1 P' x and x - A z, for this rank's values (collective)."""
+        """The correction z = P (P' A P)^-1 P' x and the rest x - A z, for this rank's values (collective)."""
         bs = self._bs
         mine = np.ascontiguousarray(self._restrict @ (x.reshape(-1, bs) * self._free)).ravel()
         every = np.empty(bs * self._total)
