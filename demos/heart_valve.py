@@ -21,7 +21,7 @@ from coudalfish.valve_pictures import histories, leaflets_movie
 from coudalfish.valves import Leaflets, quantities
 from shnapr import ContactRecipe, Hyperelastic, LinearKernel, Shell, StVenantKirchhoff, lee_sacks
 from shnapr.stress import largest_principal, resultants
-from tigar_x import VTUSeries, checks, direct, disjoint, generalized_alpha, gmres_ilu, script, surfaces, two_level
+from tigar_x import VTUSeries, checks, direct, disjoint, generalized_alpha, script, surfaces, two_level
 from tigar_x.run.pictures import Colours
 from tigar_x.run.results import Results, with_results
 from tigar_x.splines.projection import Projected
@@ -100,9 +100,9 @@ class Valve:
         inlet = Traction("inlet", lambda x, t: ufl.as_vector([0.0, 0.0, pressure(self.waveform, t, data)]))
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
         fields = {"jump": "jump", "sharp": "jump and kink"}.get(self.preset, "plain")
-        fill, kind = 1 + (self.preset == "reference"), two_level if fields == "plain" else gmres_ilu
+        fill = {"reference": 2, "plain": 1}.get(self.preset, 0)
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
-        solver = solver or kind(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
+        solver = solver or two_level(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
         flow = Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
         along = self.leaflet_elements or max(4, round(1.8 / size))
         elements = along, max(1 if self.leaflet_elements else 3, round(0.8 * along))

@@ -13,6 +13,8 @@ from scenes import sheet_in_flow
 from test_fallbacks import blocked_matrix, fill, loads, relative_residual
 from test_petsc_options import table  # noqa: F401
 
+from coudalfish import CouplingOptions
+from coudalfish.problems import manufactured as problem
 from tigar_x import compat
 from tigar_x.fem.linear import PreparedSolver, SolveError, direct, gmres_ilu, two_level
 from tigar_x.fem.nodes import RowNodes, aggregates
@@ -295,3 +297,38 @@ def test_iterations_do_not_grow_with_ranks():
         counts[ranks] = eval(done.stdout.splitlines()[-1])
     assert counts[4][0] <= 1.3 * counts[1][0], counts
     assert counts[1][0] < counts[1][1], counts
+
+
+DIVIDED = ITERATIONS.replace("first_iterations", "iterations_of_steps")
+
+
+def iterations_of_steps():
+    """Iterations of steps of a small heart valve whose pressure jumps."""
+    valve = load_demo("heart_valve")
+    _, _, fsi = valve.Valve(resolution=8).build(valve.Data())
+    assert fsi.fluid.system.recipe.name == "two_level(0)"
+    return [fsi.takeStep().linear_iterations for _ in range(4)]
+
+
+@pytest.mark.slow
+def test_iterations_with_jumps_do_not_grow_with_ranks():
+    counts = {}
+    for ranks in (1, 2, 4):
+        done = mpirun(ranks, "-c", DIVIDED, ROOT / "tests", ROOT / "benchmarks")
+        assert done.returncode == 0, done.stderr[-2000:]
+        counts[ranks] = max(eval(done.stdout.splitlines()[-1]))
+    assert max(counts.values()) <= 1.3 * counts[1] + 1, counts
+
+
+def test_jumps_in_space_are_solved_with_two_levels_unless_options_say_otherwise(table):  # noqa: F811
+    build, d = load_demo("manufactured").build, problem.data_of(3, curved=True)
+    more = {"data": d, "immersed": "jump", "projected": False}
+    _, _, fsi = build(3, 1, 4, CouplingOptions.converged(), None, **more)
+    assert fsi.fluid.system.recipe.name == "two_level(0)"
+    fsi.takeStep()
+    pc = fsi.fluid.system.preconditioner()
+    assert isinstance(pc.getPythonContext(), TwoLevel)
+    table(fluid_pc_type="jacobi")
+    _, _, fsi = build(3, 1, 4, CouplingOptions.converged(), None, **more)
+    assert fsi.fluid.system.recipe.aggregates is None
+    assert fsi.fluid.system.recipe.options["pc_type"] == "jacobi"
