@@ -114,6 +114,27 @@ def test_coarse_level_is_exact_for_what_is_constant_in_aggregates(floating):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("dense", [600, 0])
+def test_a_coarse_level_that_is_singular_makes_no_large_correction(monkeypatch, dense):
+    monkeypatch.setattr("tigar_x.fem.two_level.DENSE", dense)
+    A = blocked_matrix()
+    at = compat.block_pattern(A)
+    counts, start = np.bincount(at.rows) - 1.0, 0
+    for blocks in compat.block_values(A):
+        blocks[:] = -np.eye(SIZE)
+        own = at.diagonal[(at.diagonal >= start) & (at.diagonal < start + len(blocks))] - start
+        blocks[own] *= -counts[at.rows[start + own], None, None]
+        start += len(blocks)
+    A.stateIncrease()  # constants are in its null space
+    nodes = nodes_of(A)
+    pc, _ = prepared(A, replace(nodes, held=np.zeros_like(nodes.held)), size=9)
+    b, x = loads(A)
+    pc.apply(b, x)
+    assert x.norm() < 1e7 * b.norm()
+    pc.destroy()
+
+
+@pytest.mark.mpi
 def test_repaired_matrix_has_larger_couplings_of_weak_pressures_and_the_same_sums():
     A = blocked_matrix()
     weak = nodes_of(A).x[:, 0] > 0.4

@@ -9,6 +9,8 @@ smoother is therefore made for a repaired copy of the matrix, in which the press
 are multiplied and those on the diagonal keep the sums of the rows. GMRES keeps the exact matrix.
 """
 
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,8 @@ DENSE = 600
 REPAIR = 3.0
 """Factor of weak couplings of pressures in the matrix that the smoother is made for; with 10, which needs as many
 iterations, a residual of the same size leaves ten times the error of these pressures."""
+SINGULAR, SHIFT = 1e-9, 1e-6
+"""Pivots of the coarse level, whose diagonal is one, that count as zero; and what is added to the diagonal then."""
 _FLOATING_POINT = 72  # PETSc's code for a number that is not finite
 
 
@@ -217,12 +221,7 @@ class Coarse:
         known = np.append(every, np.ones(len(ones)))
         rows, columns = np.append(self._rows, ones), np.append(self._columns, ones)
         A = sp.csc_matrix((known, (rows, columns)), shape=(n, n))
-        if n <= DENSE:
-            factors = la.lu_factor(A.toarray(), check_finite=False)
-            self._solve = lambda b: la.lu_solve(factors, b, check_finite=False)
-        else:
-            options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
-            self._solve = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+        self._solve = _solver(A)
 
     def correct(self, x: FloatArray, z: FloatArray, rest: FloatArray) -> None:
         """The correction z = P (P' A P)^-1 P' x and the rest x - A z, for this rank's values (collective)."""
@@ -242,3 +241,28 @@ def _sums(keys: IntArray) -> tuple[IntArray, sp.csr_matrix]:
     different, place = np.unique(keys, return_inverse=True)
     shape = len(keys), len(different)
     return different, sp.csr_matrix((np.ones(len(keys)), place, np.arange(len(keys) + 1)), shape=shape).T.tocsr()
+
+
+def _solver(A: sp.csc_matrix) -> Callable[[FloatArray], FloatArray]:
+    """Factors of a coarse matrix; what is all but singular, as constants of few aggregates may be, gets no correction.
+
+    A sparse one is shifted then.
+    """
+    diagonal = np.abs(A.diagonal())
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = (sp.diags(scale) @ A @ sp.diags(scale)).tocsc()
+    if A.shape[0] <= DENSE:
+        dense = scaled.toarray()
+        factors = la.lu_factor(dense, check_finite=False)
+        if np.abs(factors[0].diagonal()).min(initial=np.inf) > SINGULAR:
+            return lambda b: scale * la.lu_solve(factors, scale * b, check_finite=False)
+        inverse = la.pinv(dense, rtol=SINGULAR)
+        return lambda b: scale * (inverse @ (scale * b))
+    options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
+    more = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": options}
+    sparse = None
+    with suppress(RuntimeError):  # SuperLU has met a pivot that is exactly zero
+        sparse = splu(scaled, **more)
+    if sparse is None or np.abs(sparse.U.diagonal()).min() <= SINGULAR:
+        sparse = splu((scaled + SHIFT * sp.identity(A.shape[0])).tocsc(), **more)
+    return lambda b: scale * sparse.solve(scale * b)
