@@ -269,6 +269,10 @@ def test_a_coupled_step_is_that_of_a_direct_solver(caplog):
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()  # a step leaves this much
 
 
+def test_weak_couplings_are_repaired_where_there_is_less_fill():
+    assert two_level(0).repair == two_level(1).repair > 1.0 == two_level(2).repair
+
+
 @pytest.mark.mpi
 def test_weak_nodes_are_those_whose_cells_are_all_in_the_band():
     scene = sheet_in_flow(n=12, moving=False)

@@ -166,7 +166,9 @@ class PreparedSolver:
         if self.recipe.aggregates is not None and self._nodes is not None:
             pc = ksp.getPC()
             pc.setType("python")
-            pc.setPythonContext(TwoLevel(self._nodes, self._prefix, size=self.recipe.aggregates))
+            pc.setPythonContext(
+                TwoLevel(self._nodes, self._prefix, size=self.recipe.aggregates, repair=self.recipe.repair)
+            )
         if self.recipe.configure is not None:
             self.recipe.configure(ksp)
             if self.recipe.overrides:

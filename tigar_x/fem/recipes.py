@@ -15,6 +15,9 @@ MEDIUM = 30_000
 """Unknowns of a stabilised flow in the plane from which on MUMPS takes less time than GMRES with ILU(1)."""
 LARGE = {2: 1_000_000, 3: 1_500_000}
 """Unknowns of a stabilised flow from which on multigrid takes no more time, and half the memory, by dimension."""
+REPAIR = 3.0
+"""Factor of weak couplings of pressures in the matrix that the smoother is made for; with 10, which needs as many
+iterations, a residual of the same size leaves ten times the error of these pressures."""
 
 
 class SolveError(RuntimeError):
@@ -75,6 +78,15 @@ class LinearSolver:
     def needs_nodes(self) -> bool:
         """Whether it, or a fallback, has to know the nodes of the system."""
         return self.aggregates is not None or (self.fallback is not None and self.fallback.needs_nodes)
+
+    @property
+    def repair(self) -> float:
+        """Factor of weak couplings of pressures in the matrix that the smoother of two levels is made for.
+
+        Two levels of fill need none, and leave a tenth of the error of these pressures at the same residual then.
+        """
+        levels = self.options.get("sub_pc_factor_levels", 0)
+        return REPAIR if int(levels) < 2 else 1.0
 
     @property
     def rtol(self) -> float:

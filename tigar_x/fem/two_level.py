@@ -30,9 +30,6 @@ MOST = 4_000
 """Aggregates of all ranks at most: beyond, they grow with the number of nodes."""
 DENSE = 600
 """Unknowns of the coarse level up to which its factors are dense."""
-REPAIR = 3.0
-"""Factor of weak couplings of pressures in the matrix that the smoother is made for; with 10, which needs as many
-iterations, a residual of the same size leaves ten times the error of these pressures."""
 SINGULAR, SHIFT = 1e-9, 1e-6
 """Pivots of the coarse level, whose diagonal is one, that count as zero; and what is added to the diagonal then."""
 _FLOATING_POINT = 72  # PETSc's code for a number that is not finite
@@ -53,7 +50,7 @@ class TwoLevel:
 
     smoother: PETSc.PC
 
-    def __init__(self, nodes: RowNodes, prefix: str, *, size: int = 0, repair: float = REPAIR) -> None:
+    def __init__(self, nodes: RowNodes, prefix: str, *, size: int = 0, repair: float = 1.0) -> None:
         self._nodes, self._prefix, self._size, self._repair = nodes, prefix, size, repair
         self._A = PETSc.Mat()
         self._owned: list[Any] = []
