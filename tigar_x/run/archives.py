@@ -18,6 +18,10 @@ class DamagedError(ValueError):
 def write_archive(path: Path, arrays: Mapping[str, Any]) -> str:
     """Write arrays under their digest, which is returned.
 
+    Args:
+        path: the file.
+        arrays: NumPy arrays by name.
+
     Raises:
         OSError: it cannot be written; an old file stays as it was.
     """
