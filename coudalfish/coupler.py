@@ -154,6 +154,7 @@ class CouDALFISh(checks.Made):
         finally:
             self._is_made = True
         self.watch.move_to(side)
+        self.shell.share(side.comm)  # that of the present one goes with its mesh
         self._pair()
 
     def __repr__(self) -> str:

@@ -61,9 +61,8 @@ class ContactSystem(SplineSystem):
 
     def share(self, comm: MPI.Comm) -> None:
         """Share the pairs as well, see the base class."""
-        before = self._part
         super().share(comm)
-        if self._part is not before:
+        if self.is_shared:
             self.contact = self.contact.shared(comm)
 
     def positions(self) -> FloatArray:

@@ -82,8 +82,7 @@ class SplineSystem:
         self._solver: PreparedSolver | None = None
         self._factors: Factors | None = None
         self._part: Part | None = None
-        self._by_factors = False
-        self.iterations = 0
+        self._by_factors, self.iterations = False, 0
 
     def share(self, comm: MPI.Comm) -> None:
         """Integrate and extract a part on each of the ranks that hold the spline whole (collective), from here on.
@@ -92,17 +91,18 @@ class SplineSystem:
         MUMPS would solve is solved by :class:`tigar_x.fem.factors.Factors`, of which bands take less.
 
         Args:
-            comm: the ranks; one alone has nothing to share.
+            comm: the ranks, one of which alone shares nothing; later, what takes the place of the former communicator.
         """
-        if comm.size == 1 or self._part is not None:
-            return
-        from tigar_x.splines.part import Part, confined  # one rank needs nothing of it
+        if self._part is not None:
+            self._part.comm, self._factors = comm, None
+        elif comm.size > 1:
+            from tigar_x.splines.part import Part, confined  # one rank needs nothing of it
 
-        if confined(*self._forms):
-            self._part = Part(comm, self.space, *self._forms)
-            self._A_fe.destroy()
-            self._own = self._A = None
-            self._by_factors = self._recipe == direct()
+            if confined(*self._forms):
+                self._part = Part(comm, self.space, *self._forms)
+                self._A_fe.destroy()
+                self._own = self._A = None
+                self._by_factors = self._recipe == direct()
 
     @property
     def is_shared(self) -> bool:
