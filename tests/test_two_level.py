@@ -16,7 +16,7 @@ from test_petsc_options import table  # noqa: F401
 from coudalfish import CouplingOptions
 from coudalfish.problems import manufactured as problem
 from tigar_x import compat
-from tigar_x.fem.linear import PreparedSolver, SolveError, direct, gmres_ilu, two_level
+from tigar_x.fem.linear import PreparedSolver, SolveError, direct, two_level
 from tigar_x.fem.nodes import RowNodes, aggregates
 from tigar_x.fem.petsc_options import chosen
 from tigar_x.fem.two_level import TwoLevel
