@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
-from load import on_ranks
+from load import on_ranks, tell
 
 from tigar_x.fem.linear import LinearSolver, direct, gmres_ilu, multigrid
 from tigar_x.run import script
@@ -154,9 +154,7 @@ def main(
         worker: one run as JSON, on the ranks of this process, instead of all.
     """
     if worker:
-        result = measure(*json.loads(worker))
-        if MPI.COMM_WORLD.rank == 0:
-            print(json.dumps(result))
+        tell(measure(*json.loads(worker)))
         return
     rows: list[dict[str, Any]] = []
     print(table(COLUMNS, []))

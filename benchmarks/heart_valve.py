@@ -1,16 +1,14 @@
 """What a step of the heart valve costs: against the published code, by its parts, by size and by ranks."""
 
 import cProfile
-import json
 import logging
 import pstats
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
 from breakdown import shares
 from calibrate import calibrate, legacy_speed
-from load import legacy_valve, load_demo, on_ranks
+from load import legacy_valve, load_demo, on_ranks, tell
 
 from tigar_x.run import script
 from tigar_x.run.progress import Stopwatch, peak_rss_mib, rss_mib
@@ -87,9 +85,7 @@ def main(
     """
     names = presets.split(",")
     if worker:
-        found = measure(resolution, leaflet_elements, names[0], steps, profiled=False)
-        if MPI.COMM_WORLD.rank == 0:
-            print(json.dumps(found))
+        tell(measure(resolution, leaflet_elements, names[0], steps, profiled=False))
         return {}
     index, published = legacy_speed(calibrate()), legacy_valve("heart_valve")
     compared = [measure(resolution, leaflet_elements, name, steps, profiled=True) for name in names]

@@ -7,22 +7,21 @@ process sends, by whichever library. ``rank_model.py`` makes a model of a step o
 import csv
 import ctypes
 import functools
-import json
 import logging
 import subprocess
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from load import load_demo, on_ranks
+from load import load_demo, on_ranks, tell
+from solvers import recipes
 
 from coudalfish.step.condensed import CondensedSystem
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray
-from tigar_x.fem.linear import two_level
 from tigar_x.run import script
 from tigar_x.run.progress import peak_rss_mib
 from tigar_x.run.summary import table, write_summary
@@ -97,10 +96,10 @@ def measure(preset: str, resolution: int, steps: int, before: int, solver: str) 
     """A row of the table, on the ranks of this run (collective)."""
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
     demo, comm = load_demo("heart_valve"), MPI.COMM_WORLD
-    if solver == "two-level":
-        demo.gmres_ilu = lambda levels, **named: two_level(1, **named)  # type: ignore[attr-defined]
     counts, points = Counts(), [0]
-    flow, _, fsi = demo.Valve(resolution=resolution, preset=preset).build(demo.Data())
+    flow, _, fsi = demo.Valve(resolution=resolution, preset=preset).build(
+        demo.Data(), solver=recipes(solver)[solver] if solver else None
+    )
     place = fsi.fluid.place
 
     def placed(*arguments: Any, **named: Any) -> Any:
@@ -134,7 +133,7 @@ def measure(preset: str, resolution: int, steps: int, before: int, solver: str) 
     return {name: known[name] for name in COLUMNS}
 
 
-def run(ranks: int, preset: str, resolution: int, steps: int, before: int, solver: str = "demo") -> dict[str, Any]:
+def run(ranks: int, preset: str, resolution: int, steps: int, before: int, solver: str = "") -> dict[str, Any]:
     """A row of the table, in processes of its own."""
     settings = ("--presets", preset, "--resolutions", resolution, "--steps", steps, "--before", before)
     settings += ("--solver", solver)
@@ -162,7 +161,7 @@ def main(
     ranks: str = "1,2,4,8,16",
     steps: int = 5,
     before: int = 3,
-    solver: Literal["demo", "two-level"] = "demo",
+    solver: str = "",
     out: Path = Path("results/benchmarks"),
     worker: bool = False,
 ) -> dict[str, Any] | None:
@@ -174,7 +173,7 @@ def main(
         ranks: numbers of ranks, separated by commas.
         steps: steps that are counted.
         before: steps that are taken first.
-        solver: of the flow, that of the demo or the one with a coarse level.
+        solver: of the flow, as "ilu2" or "two1", see solvers.py; default: that of the demo.
         out: folder of the results, in which counts.csv is written.
         worker: count on the ranks of this run and print the row, instead of starting others.
 
@@ -186,9 +185,7 @@ def main(
     for preset in presets.split(","):
         checks.choice("presets", preset, PRESETS)
     if worker:
-        row = measure(presets, int(resolutions), steps, before, solver)
-        if MPI.COMM_WORLD.rank == 0:
-            print(json.dumps(row))
+        tell(measure(presets, int(resolutions), steps, before, solver))
         return None
     rows = []
     folder = out / "rank_counts"

@@ -99,8 +99,8 @@ class Valve:
         mesh = aortic_root(MPI.COMM_WORLD, size=self.grading * size, swept_size=size, radius=data.radius)
         inlet = Traction("inlet", lambda x, t: ufl.as_vector([0.0, 0.0, pressure(self.waveform, t, data)]))
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
-        fields = {"jump": "jump", "sharp": "jump and kink"}.get(self.preset, "plain")
-        fill = {"reference": 2, "plain": 1}.get(self.preset, 0)
+        kinds = {"jump": ("jump", 0), "sharp": ("jump and kink", 0), "plain": ("plain", 1), "reference": ("plain", 2)}
+        fields, fill = kinds[str(self.preset)]
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
         solver = solver or two_level(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
         flow = Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
@@ -108,12 +108,11 @@ class Valve:
         elements = along, max(1 if self.leaflet_elements else 3, round(0.8 * along))
         geometry = disjoint(*surfaces.trileaflet(radius=data.radius, elements=elements, degrees=(self.degree,) * 2))
         structure = {"density": data.rho_s, "clamped": ("post_0", "post_1", "attachment"), "contact": data.contact}
-        bovine = lee_sacks(676080.0, 132848.0, 38.1878)
-        material = data.leaflet if self.material == "svk" else Hyperelastic(bovine, data.leaflet.thickness)
+        pericardium = Hyperelastic(lee_sacks(676080.0, 132848.0, 38.1878), data.leaflet.thickness)  # bovine
+        material = data.leaflet if self.material == "svk" else pericardium
         leaflets = Shell(geometry, material, **structure, quadrature_degree=4)
-        published = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2)
-        converged = CouplingOptions.converged(fluid_tangent="consistent")
-        presets = {"reference": published, "jump": converged, "sharp": CouplingOptions.sharp()}
+        presets = {"jump": CouplingOptions.converged(fluid_tangent="consistent"), "sharp": CouplingOptions.sharp()}
+        presets["reference"] = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2)
         return flow, leaflets, CouDALFISh(flow, leaflets, options or presets.get(self.preset, CouplingOptions()))
 
 

@@ -114,10 +114,9 @@ class FluidSubproblem:
 
         size, block = V.dofmap.index_map.size_global, V.dofmap.index_map_bs
         recipe = chosen(solver, self._recipe(size * block, blocked=block > 1), "fluid_")
-        self.system = self._make_system(
-            residual_f, bcs, tangent=tangent, solver=recipe, before=before, rank_one=rank_one, prefix="fluid_",
-            weak=None if band is None else partial(band.surrounded, V),
-        )  # fmt: skip
+        weak = None if band is None else partial(band.surrounded, V)
+        more: Any = {"tangent": tangent, "solver": recipe, "before": before, "rank_one": rank_one, "weak": weak}
+        self.system = self._make_system(residual_f, bcs, **more, prefix="fluid_")
         self.free = ~np.isin(self.velocity_dofs, self.system.constrained)
         self.trace_dofs, self._reference = self.velocity_dofs, 0.0
         self._measure()

@@ -5,7 +5,7 @@ seen from several ranks count a part on each. What ranks have in common is the s
 points that more than one of them sees.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,7 @@ class Seen:
     G_t: sp.csr_matrix
     H_t: sp.csr_matrix
     W: FloatArray
+    _known: dict[Preconditioner, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, at: Linearised) -> "Seen":
@@ -124,12 +125,11 @@ class Seen:
 
     def _of_made(self, preconditioner: Preconditioner) -> tuple[sp.csr_matrix, sp.csr_matrix, FloatArray]:
         """Its forces and displacements at the points that are seen, and how coefficients that move these give way."""
-        known: Any = self.__dict__.get("_known")
-        if known is None or known[0] is not preconditioner:
+        if preconditioner not in self._known:
             used = np.unique(self.P.indices)
-            parts = preconditioner.made.G[self.rows], self.P[:, used], preconditioner.bent[used]
-            known = self.__dict__["_known"] = preconditioner, parts
-        return known[1]
+            self._known.clear()
+            self._known[preconditioner] = preconditioner.made.G[self.rows], self.P[:, used], preconditioner.bent[used]
+        return self._known[preconditioner]
 
     def to_nodes(self, forces: FloatArray, b: FloatArray) -> FloatArray:
         """This rank's share of forces at the points that are seen, and of functions, on the nodes, shape (nodes, d)."""

@@ -85,7 +85,7 @@ class LinearSolver:
 
         Two levels of fill need none, and leave a tenth of the error of these pressures at the same residual then.
         """
-        levels = self.options.get("sub_pc_factor_levels", 0)
+        levels = self.options.get("pc_factor_levels", self.options.get("sub_pc_factor_levels", 0))
         return REPAIR if int(levels) < 2 else 1.0
 
     @property

@@ -164,9 +164,10 @@ class Coarse:
         self._number = number
         self._restrict = sp.csr_matrix((np.ones(own), (number, np.arange(own))), shape=(mine, own))
         column = continued((number + first).astype(np.float64)).astype(np.int64)[pattern.columns]
-        keys, self._sums = _sums(pattern.rows * self._total + column)
+        keys, sums = _sums(pattern.rows * self._total + column)
         rows, columns = np.divmod(keys, self._total)
-        self._inside = int(np.searchsorted(pattern.columns >= own, True))
+        inside = int(np.searchsorted(pattern.columns >= own, True))
+        self._sums = sums[:, :inside], sums[:, inside:]
         starts = np.searchsorted(rows, np.arange(own + 1))
         blocks, shape = np.zeros((len(keys), bs, bs)), (bs * own, bs * self._total)
         self._product = sp.bsr_matrix((blocks, columns, starts), shape=shape)
@@ -201,8 +202,8 @@ class Coarse:
         Args:
             values: blocks of the matrix.
         """
-        bs, n, inside = self._bs, self._bs * self._total, self._inside
-        parts = zip((self._sums[:, :inside], self._sums[:, inside:]), values, strict=False)
+        bs, n = self._bs, self._bs * self._total
+        parts = zip(self._sums, values, strict=False)
         product = sum(part @ blocks.reshape(-1, bs * bs) for part, blocks in parts).reshape(-1, bs, bs)
         blocks, component = self._held
         product[self._held_place] -= values[0][blocks, component, component]
