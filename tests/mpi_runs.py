@@ -18,9 +18,11 @@ MPIRUN = shutil.which("mpirun", path=str(Path(sys.executable).parent)) or shutil
 
 
 def outside():
-    """The environment of a process that belongs to no MPI run."""
+    """The environment of a process that belongs to no MPI run and finds the modules that tests find."""
     mine = ("OMPI_", "PMIX_", "PMI_", "OPAL_")
-    return {key: value for key, value in os.environ.items() if not key.startswith(mine)} | {"OMP_NUM_THREADS": "1"}
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(mine)}
+    found = [str(ROOT), str(ROOT / "tests"), str(ROOT / "benchmarks"), *filter(None, [kept.get("PYTHONPATH")])]
+    return kept | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(found)}
 
 
 def mpirun(ranks, *arguments, timeout=2400):

@@ -4,20 +4,15 @@ Without tolerances of the solvers, so that nothing but rounding may depend on th
 """
 
 import json
-import sys
 
 import numpy as np
 from mpi4py import MPI
 from dome import dome
-from on_disk import ROOT
+from load import load_demo
 
 from coudalfish import CouplingOptions
 from coudalfish.problems import manufactured as problem
 from tigar_x.fem.linear import direct
-
-if str(ROOT / "benchmarks") not in sys.path:  # where a test runs this as a program
-    sys.path.append(str(ROOT / "benchmarks"))
-from load import load_demo
 
 TIGHT = CouplingOptions.sharp(block_rtol=1e-10, block_atol=1e-14)
 

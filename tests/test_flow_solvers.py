@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from load import load_demo
 from mpi_runs import mpirun
-from on_disk import ROOT
 
 from tigar_x import compat
 from tigar_x.fem.linear import LARGE, MEDIUM, automatic, direct, gmres_ilu, multigrid
@@ -47,8 +46,6 @@ def test_multigrid_keeps_its_options_when_the_matrix_changes():
 
 
 CUT_MANY_WAYS = """
-import sys
-sys.path.insert(0, sys.argv[1])
 from test_flow_solvers import CAVITY, multigrid
 counts = []
 for _ in range(20):  # each mesh is cut into other parts
@@ -63,7 +60,7 @@ assert len(set(counts)) > 1 and max(counts) < 20, counts
 
 def test_multigrid_bears_the_pressure_of_an_enclosed_flow_on_any_partition():
     """The coarsest level is singular: with plain factors a third of these solves need 200 iterations and MUMPS."""
-    done = mpirun(3, "-c", CUT_MANY_WAYS, ROOT / "tests")
+    done = mpirun(3, "-c", CUT_MANY_WAYS)
     assert done.returncode == 0, done.stderr[-2000:]
 
 

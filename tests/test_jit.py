@@ -17,7 +17,6 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem, mesh
 from mpi_runs import outside
-from on_disk import ROOT
 
 from tigar_x import compat
 from tigar_x.compat import forms, jit, kernels
@@ -41,7 +40,7 @@ def cache(tmp_path, monkeypatch):
 
 def started(cache, code, **environment):
     """Another process that uses the cache, in a group of its own."""
-    env = outside() | {"XDG_CACHE_HOME": str(cache.parent), "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"} | environment
+    env = outside() | {"XDG_CACHE_HOME": str(cache.parent)} | environment
     command = [sys.executable, "-c", f"import test_jit; {code}"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # which what is started in the background ignores

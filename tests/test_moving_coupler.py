@@ -324,8 +324,7 @@ def test_points_and_velocities_belong_to_the_level_of_the_equations(motion):
 
 
 PROGRAM = """
-import json, sys
-sys.path.insert(0, "tests")
+import json
 import numpy as np
 from mpi4py import MPI
 from test_moving_coupler import SMOOTHED, TIGHT, bubble, elastic, prescribed, scene, stream

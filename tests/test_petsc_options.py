@@ -13,7 +13,6 @@ import ufl
 from mpi4py import MPI
 from dolfinx import fem
 from mpi_runs import outside
-from on_disk import ROOT
 from petsc4py import PETSc
 from scenes import sheet_in_flow
 from test_fallbacks import blocked_matrix, loads, relative_residual
@@ -454,7 +453,8 @@ def test_at_the_end_petsc_names_what_no_solver_has_asked_for():
     )
     names = ("fluid_ksp_rtoll", "fluid_ksp_rtol", "fluid_sub_pc_factor_levels", "shell_pc_type")
     given = [word for name, value in zip(names, ("1", "1e-9", "2", "lu"), strict=True) for word in (f"-{name}", value)]
-    env = outside() | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}:{ROOT / 'benchmarks'}"}
-    done = subprocess.run([sys.executable, "-c", code, *given], capture_output=True, text=True, env=env, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *given], capture_output=True, text=True, env=outside(), check=True
+    )
     left = {word.removeprefix("name:-") for word in done.stdout.split() if word.startswith("name:-")}
     assert left == {"fluid_ksp_rtoll", "shell_pc_type"}

@@ -7,7 +7,6 @@ import pytest
 from mpi4py import MPI
 from load import load_demo
 from mpi_runs import mpirun
-from on_disk import ROOT
 from petsc4py import PETSc
 from scenes import sheet_in_flow
 from test_fallbacks import blocked_matrix, fill, loads, relative_residual
@@ -290,8 +289,7 @@ def test_weak_nodes_are_those_whose_cells_are_all_in_the_band():
 
 
 ITERATIONS = """
-import json, sys
-sys.path[:0] = sys.argv[1:3]
+import json
 from mpi4py import MPI
 from load import load_demo
 from test_two_level import first_iterations
@@ -315,7 +313,7 @@ def first_iterations():
 def test_iterations_do_not_grow_with_ranks():
     counts = {}
     for ranks in (1, 4):
-        done = mpirun(ranks, "-c", ITERATIONS, ROOT / "tests", ROOT / "benchmarks")
+        done = mpirun(ranks, "-c", ITERATIONS)
         assert done.returncode == 0, done.stderr[-2000:]
         counts[ranks] = eval(done.stdout.splitlines()[-1])
     assert counts[4] <= 1.3 * counts[1] + 1, counts
@@ -336,7 +334,7 @@ def iterations_of_steps():
 def test_iterations_with_jumps_do_not_grow_with_ranks():
     counts = {}
     for ranks in (1, 2, 4):
-        done = mpirun(ranks, "-c", DIVIDED, ROOT / "tests", ROOT / "benchmarks")
+        done = mpirun(ranks, "-c", DIVIDED)
         assert done.returncode == 0, done.stderr[-2000:]
         counts[ranks] = max(eval(done.stdout.splitlines()[-1]))
     assert max(counts.values()) <= 1.3 * counts[1] + 1, counts

@@ -171,7 +171,6 @@ import sys
 from mpi4py import MPI
 from dolfinx import mesh
 from pathlib import Path
-sys.path.insert(0, "tests")
 from test_vtkhdf import function, series
 domain = mesh.create_unit_square(MPI.COMM_WORLD, 4, 3)
 w, scale = function(domain)
@@ -280,7 +279,6 @@ import sys
 from mpi4py import MPI
 from dolfinx import mesh
 from pathlib import Path
-sys.path.insert(0, "tests")
 from test_vtkhdf import function, series
 domain = mesh.create_unit_square(MPI.COMM_SELF, 30, 30)
 w, scale = function(domain)
