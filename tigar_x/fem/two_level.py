@@ -83,7 +83,8 @@ class TwoLevel:
         self._copy = A.duplicate(copy=True) if repairs else A
         self.smoother.setOperators(A, self._copy)
         self.smoother.setFromOptions()
-        self._owned = [self._z, self._rest, self.smoother, *([self._copy] if repairs else [])]
+        # the reference to A as well: petsc4py keeps what is dropped last, and with it all of the matrix
+        self._owned = [self._z, self._rest, self.smoother, *([self._copy] if repairs else []), self._A]
         self._ghosts = names
 
     def _repaired(self) -> None:
