@@ -83,20 +83,22 @@ def test_action_equals_reaction(surface):
     normals = normals_of(surface)
     forces = meeting.normal_forces(sp.identity(n, format="csr"), normals)
     lam = np.random.default_rng(4).standard_normal(n)
-    on_surface = (forces.at_points @ lam).reshape(-1, 3)
-    on_fluid = meeting.trace.transposed @ on_surface + (forces.beside @ lam).reshape(-1, 3)
+    on_surface = total(COMM, forces.at_points @ lam).reshape(-1, 3)
+    on_fluid = (forces.at_nodes @ lam).reshape(-1, 3)
     np.testing.assert_allclose(total(COMM, on_fluid.sum(axis=0)), on_surface.sum(axis=0), atol=1e-13)
     along = (
         np.einsum("gi,gi->g", points.normals, meeting.hats @ normals) > 0.0
     )  # whatever the signs of the polygons are
     expected = total(COMM, (points.normals * np.where(along, points.areas, -points.areas)[:, None]).sum(axis=0))
-    np.testing.assert_allclose((forces.at_points @ np.ones(n)).reshape(-1, 3).sum(axis=0), expected, atol=1e-13)
+    of_one = total(COMM, forces.at_points @ np.ones(n)).reshape(-1, 3)
+    np.testing.assert_allclose(of_one.sum(axis=0), expected, atol=1e-13)
 
 
 def of_all_points(meeting, normals):
     """Forces on the surface of a pressure of one, shape (points, 3), and which share of the polygons is turned."""
     n = len(normals)
-    forces = (meeting.normal_forces(sp.identity(n, format="csr"), normals).at_points @ np.ones(n)).reshape(-1, 3)
+    of_functions = meeting.normal_forces(sp.identity(n, format="csr"), normals)
+    forces = total(meeting.comm, of_functions.at_points @ np.ones(n)).reshape(-1, 3)
     against = np.einsum("gi,gi->g", meeting.hats @ normals, meeting.normals) < 0.0
     areas = meeting.penalty[1]
     share, whole = total(meeting.comm, [areas[against].sum(), areas.sum()])

@@ -6,11 +6,11 @@ from mpi4py import MPI
 from test_converged import in_flow
 
 from coudalfish import CouplingOptions
-from coudalfish.step.linearised import WEAK
+from coudalfish.step.linearised import WEAK, Preconditioner
 from coudalfish.step.seen import Seen
 
 COMM = MPI.COMM_WORLD
-pytestmark = [pytest.mark.mpi, pytest.mark.skipif(COMM.size == 1, reason="one rank sees all")]
+pytestmark = pytest.mark.mpi
 
 
 def total(values):
@@ -24,24 +24,52 @@ def test_products_are_those_of_all_points(options):
     scene.fsi.takeStep()
     system = scene.fsi.attempts[0].method.system
     at, rng = system.at, np.random.default_rng(3)
-    seen, b, a = Seen.of(at), rng.standard_normal(at.G.shape[1]), rng.standard_normal(at.dofs.shape)
-    a = at.free * np.cos(np.arange(a.size).reshape(a.shape) + at.fluid.names(at.trace.nodes)[:, None])
+    seen, b, d = Seen.of(at), rng.standard_normal(at.G.shape[1]), at.dofs.shape[1]
+    a = at.free * np.cos(np.arange(at.dofs.size).reshape(at.dofs.shape) + at.fluid.names(at.trace.nodes)[:, None])
     nodal, slip = seen.product(a, b.copy())
     v = total((at.fluid.timeInt.x_factor * (at.trace.B @ a)).ravel())
-    pushed = at.G @ b
-    w = at.moved(at.W * at.beta * v + pushed)
-    expected = at.to_nodes(at.W * (at.beta * (v - w)) + pushed, b) - at.free * (at.part @ a)
-    np.testing.assert_allclose(
-        nodal, expected, rtol=0.0, atol=1e-11 * max(COMM.allgather(np.abs(expected).max(initial=0.0)))
-    )
-    rows = at.beta * (at.G_t @ (v - w)) - WEAK * (at.H_t @ pushed)
-    if at.X_t is not None:
-        rows += total(at.beta * at.fluid.timeInt.x_factor * (at.X_t @ a.ravel()))
+    pushed, G = total(at.G @ b), total(at.G.toarray())
+    w = at.a_s * (at.P @ at.solve_shell(at.P.T @ (at.W * at.beta * v + pushed)))
+
+    def on_nodes(forces):
+        """Of the penalty, and of the multiplier."""
+        acting = at.trace.transposed @ forces.reshape(-1, d) + (at.F @ b).reshape(-1, d)
+        return at.free * acting
+
+    near(nodal, on_nodes(at.W * at.beta * (v - w)) - at.free * (at.part @ a))
+    rows = total(at.beta * at.fluid.timeInt.x_factor * (at.F.T @ a.ravel()))
+    rows -= at.beta * (G.T @ w) + WEAK * (at.H.T @ pushed)
     if COMM.rank == 0:
         np.testing.assert_allclose(slip, rows, rtol=0.0, atol=1e-11 * np.abs(rows).max())
-    made = system.preconditioner
-    expected = at.to_nodes(made.forces(b), b)
-    found = seen.nodal(made, b)
-    np.testing.assert_allclose(
-        found, expected, rtol=0.0, atol=1e-11 * max(COMM.allgather(np.abs(expected).max(initial=0.0)))
-    )
+    bent = system.preconditioner.bent
+    near(seen.to_nodes(seen.drag(bent[seen.columns] @ b), b), on_nodes(at.beta * at.a_s * at.W * (at.P @ (bent @ b))))
+
+
+def near(found, expected):
+    largest = max(COMM.allgather(np.abs(expected).max(initial=0.0)))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * largest)
+
+
+@pytest.mark.parametrize("options", [{}, {"multiplier_direction": "vector"}, {"trace": "exact"}])
+def test_the_multipliers_own_matrix_is_that_of_one_rank(options):
+    """With the whole trace, by its definition."""
+    scene = in_flow(CouplingOptions.converged(**options))
+    scene.fsi.takeStep()
+    system = scene.fsi.attempts[0].method.system
+    at, seen = system.at, system.seen
+    made = Preconditioner(seen)
+    n = at.fluid.velocity_space.dofmap.index_map.size_global
+    d, m = at.dofs.shape[1], at.F.shape[1]
+    F, T, inverse = np.zeros((n, d, m)), np.zeros((len(at.W) // d, n)), np.zeros((n, d))
+    names = at.fluid.names(at.trace.nodes)
+    F[names], T[:, names] = at.F.toarray().reshape(-1, d, m), at.trace.B.toarray()
+    inverse[names] = at.free / np.where(at.free > 0.0, at.fluid.diagonal()[at.dofs], 1.0)
+    F, T, inverse, G = total(F), total(T), np.max(COMM.allgather(inverse), axis=0), total(at.G.toarray())
+    bent = at.solve_shell(at.P.T @ G)
+    drag = ((at.beta * at.a_s * at.W * (at.P @ bent).T).T).reshape(-1, d, m)
+    C = (F - np.einsum("qn,qim->nim", T, drag)).reshape(n * d, m)
+    S = at.a_s * (at.P.T @ G).T @ bent + WEAK / at.beta * (at.H.T @ G).T
+    S += at.fluid.timeInt.x_factor * C.T @ (inverse.ravel()[:, None] * C)
+    S[at.idle, at.idle] = S.diagonal().max()
+    r = np.random.default_rng(5).standard_normal(m)
+    np.testing.assert_allclose(S @ made.multiplier(r, at.beta) * -at.beta, r, rtol=0.0, atol=1e-6)

@@ -94,6 +94,15 @@ def summed(comm: MPI.Comm, size: int, work: Callable[[], FloatArray]) -> FloatAr
     return total[:size]
 
 
+def total(comm: MPI.Comm, share: FloatArray) -> FloatArray:
+    """Sum over the ranks of arrays of the same shape, on all of them (collective); of one rank the array itself."""
+    if comm.size == 1:
+        return share
+    result = np.empty(share.shape)
+    comm.Allreduce(np.ascontiguousarray(share), result, op=MPI.SUM)
+    return result
+
+
 def on_root(comm: MPI.Comm, work: Callable[[], T]) -> T | None:
     """What a function returns on rank 0, None on the others; when it raises, all ranks raise the same (collective).
 

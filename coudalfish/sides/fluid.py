@@ -18,7 +18,7 @@ from coudalfish.surface.band import SurfaceBand
 from coudalfish.surface.meeting import Meeting
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.trace import TraceMatrix
-from tigar_x import checks, compat
+from tigar_x import checks, compat, ranks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.linear import LinearSolver, automatic, chosen
 from tigar_x.fem.solve import FiniteElementSystem, RankOne
@@ -201,12 +201,6 @@ class FluidSubproblem:
         """
         return np.asarray(self.velocity_space.dofmap.index_map.local_to_global(nodes.astype(np.int32)))
 
-    def owned_nodes(self, names: IntArray) -> IntArray:
-        """Local nodes by their names, -1 where another rank owns them."""
-        own = self.velocity_space.dofmap.index_map
-        local = names - own.local_range[0]
-        return np.where((local >= 0) & (local < own.size_local), local, -1)
-
     def diagonal(self) -> FloatArray:
         """Diagonal of the tangent at local dofs, ghosts as well (collective)."""
         self.system.A.getDiagonal(self._product)
@@ -214,28 +208,22 @@ class FluidSubproblem:
 
     def velocity_at(self, trace: TraceMatrix) -> FloatArray:
         """Velocity u_alpha at the points, the same on every rank (collective), shape (points, d)."""
-        return self._summed(trace.B @ self._seen(trace))
+        return ranks.total(self.comm, trace.B @ self._seen(trace))
 
-    def power(self, forces: sp.csr_matrix, trace: TraceMatrix) -> FloatArray:
-        """Power of forces on the trace's nodes by velocities u_alpha (collective), shape (n,).
+    def power(self, forces: sp.csr_matrix, trace: TraceMatrix, less: FloatArray) -> FloatArray:
+        """Power of forces on the trace's nodes by velocities u_alpha, less another one (collective), shape (n,).
 
         Args:
             forces: this rank's share, shape (nodes d, n).
             trace: of the nodes.
+            less: what is subtracted, this rank's share, shape (n,).
         """
-        return self._summed(forces.T @ self._seen(trace).ravel())
+        return ranks.total(self.comm, forces.T @ self._seen(trace).ravel() - less)
 
     def _seen(self, trace: TraceMatrix) -> FloatArray:
         dofs, a = self.trace_dofs[trace.nodes], self.timeInt.x_factor
         x, x_old = self._levels()
         return np.asarray(a * x[dofs] + (1.0 - a) * x_old[dofs])
-
-    def _summed(self, local: FloatArray) -> FloatArray:
-        if self.comm.size == 1:
-            return local
-        total = np.empty_like(local)
-        self.comm.Allreduce(local, total, op=MPI.SUM)
-        return total
 
     def assemble_residual(
         self, trace: TraceMatrix, forces: FloatArray, impedance: float, beside: FloatArray | float = 0.0

@@ -233,9 +233,3 @@ class SidedFluid(FluidSubproblem):
         """See :class:`coudalfish.sides.fluid.FluidSubproblem`; kinks come after all nodes."""
         n, size = len(self._node), self.velocity_space.dofmap.index_map.size_global
         return np.where(nodes < n, super().names(nodes % n), super().names(nodes % n) + size)
-
-    def owned_nodes(self, names: IntArray) -> IntArray:
-        """See there."""
-        n, size = len(self._node), self.velocity_space.dofmap.index_map.size_global
-        local = super().owned_nodes(names % size)
-        return np.where((local >= 0) & (names >= size), local + n, local)

@@ -226,20 +226,26 @@ class Step:
     @property
     def forces(self) -> FloatArray:
         """Fluid on shell at the points."""
+        turned = self.multiplier.turned
+        return self._traced if turned is None else self._traced + turned.at_points
+
+    @property
+    def _traced(self) -> FloatArray:
+        """Those of them that act on the fluid by the trace."""
         lam, turned = self.multiplier.acting, self.multiplier.turned
         if turned is None:
             return exchange.point_forces(self.u, self.y_dot, lam, self.n, self.W, penalty=self.beta)
-        return self.beta * self.W[:, None] * (self.u - self.y_dot) + turned.at_points
+        return self.beta * self.W[:, None] * (self.u - self.y_dot)
 
     @property
-    def beside(self) -> FloatArray | float:
-        """Fluid on shell at the trace's nodes, beside what :attr:`forces` do there; this rank's share."""
+    def _beside(self) -> FloatArray | float:
+        """Fluid on shell at the trace's nodes, beside what :attr:`_traced` do there; this rank's share."""
         turned = self.multiplier.turned
         return 0.0 if turned is None else turned.at_nodes
 
     def _fluid_residual(self) -> float:
         self.block = "fluid"
-        return self._finite(self.fluid.assemble_residual(self.trace, self.forces, self.beta, self.beside))
+        return self._finite(self.fluid.assemble_residual(self.trace, self._traced, self.beta, self._beside))
 
     def shell_residual(self) -> float:
         """Residual of the shell under the present forces (collective), assembled unless it is."""
@@ -284,8 +290,8 @@ class Step:
 
     def _accepted(self, norm_f: float, norm_s: float) -> bool:
         self.block = "coupling"
-        forces = self.forces
-        coupling = self.fluid.coupling_norm(self.trace, forces, self.beside), self.shell.coupling_norm(forces)
+        on_fluid = self.fluid.coupling_norm(self.trace, self._traced, self._beside)
+        coupling = on_fluid, self.shell.coupling_norm(self.forces)
         small = self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
         return small and self.multiplier.satisfied(self)
 
@@ -303,13 +309,13 @@ class Step:
 
     def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        forces = self.forces + W[:, None] * exchange.tractions(self.multiplier.whole - self.multiplier.acting, n)
+        held = W[:, None] * exchange.tractions(self.multiplier.whole - self.multiplier.acting, n)
+        forces, on_fluid = self.forces + held, self.fluid.received(self.trace, self._traced + held, self._beside)
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
         lam = exchange.tractions(lam, n) if self.lam.ndim == 2 else lam
         ranks.share(self.comm, lam)
         if not np.isfinite(lam).all():
             raise RejectedStepError("coupling", "the new multiplier is not finite")
-        on_fluid = self.fluid.received(self.trace, forces, self.beside)
         areas, self.lam = W * self.shell.sheets.stretch(self.shell.positions()), lam
         monitors = monitors_of(u - y_dot, n, W, forces, on_fluid, forces.sum(axis=0), areas=areas)
         report = ranks.first(self.comm, self.report(monitors, self._contact()))

@@ -8,8 +8,9 @@ K and A_s the tangents of flow and shell, the latter with its part of the penalt
     [ -beta a_f P'WT       A_s               -P'WH          ] [dy] = [r_s]        r_c = H'W (u_alpha - y')
     [ a_f H'WT             -a_s H'WP         -eps H'WH/beta ] [dc]   [r_c]
 
-and subtracts the increments. Where the meeting has normals of its own, along which the multiplier acts, WH becomes its
-forces G on the shell, and T'WH becomes T'G + X, with forces X on the fluid's nodes alone. The second row is solved for
+and subtracts the increments. WH are the forces G of the multiplier's functions on the shell, and T'WH their forces F on
+the fluid's nodes; where the meeting has normals of its own, along which the multiplier acts, both are made with these,
+and F is not T'G. The second row is solved for
 dy with the shell's factors in every product, and the third one is multiplied by beta, as the flow's rows of continuity
 are, so that all rows are forces.
 """
@@ -17,19 +18,17 @@ are, so that all rows are forces.
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from petsc4py import PETSc
 
 from coudalfish.sides.fluid import FluidSubproblem
-from coudalfish.step.linearised import WEAK, Linearised, Preconditioner
+from coudalfish.step.linearised import Linearised, Preconditioner
+from coudalfish.step.seen import Seen
 from tigar_x import compat
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError, keep_orthogonal
-
-if TYPE_CHECKING:
-    from coudalfish.step.seen import Seen
 
 RTOL = 1e-8
 """Residual of the linear solver relative to the first one of the step; 1e-6 is too much for closed chambers."""
@@ -51,13 +50,13 @@ class CondensedSystem:
         functions: number of the multiplier's functions.
 
     Attributes:
-        at: the parts.
+        seen: the parts.
         preconditioner: see :class:`Preconditioner`.
         iterations: of the last solve.
         increment: of the flow, of the last solve.
     """
 
-    at: Linearised
+    seen: Seen
     preconditioner: Preconditioner
 
     def __init__(self, fluid: FluidSubproblem, functions: int) -> None:
@@ -105,14 +104,14 @@ class CondensedSystem:
         """
         at = self.at
         self._force = at.fluid.as_forces(at.beta)
-        self._seen = self._of_points()
-        z = at.a_s * (at.P @ at.solve_shell(r_s))
+        self._bent = self.preconditioner.bent[self.seen.columns]
+        nodal, slip = self.seen.moved(at.solve_shell(r_s))
         rhs = self._rhs.array_w
         rhs[: self._n] = b_f.array_r
-        self._add(at.to_nodes(at.beta * at.W * z), rhs[: self._n])
+        self._add(nodal, rhs[: self._n])
         rhs[: self._n] *= self._force
         if self._own:
-            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * (r_c + at.G_t @ z))
+            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * r_c + slip)
         del rhs  # PETSc keeps norms of vectors that nobody writes to
         norm = float(self._rhs.norm())
         if norm == 0.0:
@@ -138,14 +137,6 @@ class CondensedSystem:
             self._comm.Bcast(c)
         return norm, c
 
-    def _of_points(self) -> "Seen | None":
-        """What this rank sees of the points; None: it is the only one (collective)."""
-        if self._comm.size == 1:
-            return None
-        from coudalfish.step.seen import Seen  # one rank needs nothing of it
-
-        return Seen.of(self.at)
-
     def _at_nodes(self, values: FloatArray) -> FloatArray:
         """Velocities at the trace's nodes, out of this rank's entries of the flow, shape (nodes, d) (collective)."""
         at = self.at
@@ -165,6 +156,11 @@ class CondensedSystem:
         at.fluid.system.from_local(share, self._flow)
         values += self._flow.array_r
 
+    @property
+    def at(self) -> Linearised:
+        """The state of the parts."""
+        return self.seen.at
+
     # -- what PETSc calls ---------------------------------------------------------------------------------------------
 
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -172,28 +168,12 @@ class CondensedSystem:
         at, given, product = self.at, x.array_r, y.array_w
         with placed(self._given, given[: self._n]) as flow, placed(self._result, product[: self._n]) as result:
             at.fluid.system.multiply(flow, result)
-        a = self._at_nodes(given[: self._n])
-        if self._seen is not None:
-            b = given[self._n :].copy() if self._own else np.empty(self._functions)
-            nodal, slip = self._seen.product(a, b)
-        else:
-            b = given[self._n :]
-            nodal, slip = self._coupled(a, b)
+        b = given[self._n :].copy() if self._own else np.empty(self._functions)
+        nodal, slip = self.seen.product(self._at_nodes(given[: self._n]), b)
         self._add(nodal, product[: self._n])
         product[: self._n] *= self._force
         if self._own:
             product[self._n :] = np.where(at.idle, b, slip)
-
-    def _coupled(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Forces on the trace's nodes, and beta times the rows of the multiplier, on one rank."""
-        at, a_f = self.at, self.at.fluid.timeInt.x_factor
-        v, pushed = (a_f * (at.trace.B @ a)).ravel(), at.G @ b
-        w = at.moved(at.W * at.beta * v + pushed)
-        nodal = at.to_nodes(at.W * (at.beta * (v - w)) + pushed, b) - at.free * (at.part @ a)
-        slip = at.beta * (at.G_t @ (v - w)) - WEAK * (at.H_t @ pushed)
-        if at.X_t is not None:
-            slip += at.beta * (a_f * (at.X_t @ a.ravel()))
-        return nodal, slip
 
     def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The upper triangular part, solved (collective)."""
@@ -201,11 +181,8 @@ class CondensedSystem:
         r = given[self._n :].copy() if self._own else np.empty(self._functions)
         if self._comm.size > 1:
             self._comm.Bcast(r)
-        b = self.preconditioner.multiplier(r)
-        if self._seen is not None:
-            nodal = self._seen.nodal(self.preconditioner, -b)
-        else:
-            nodal = at.to_nodes(-self.preconditioner.forces(b), -b)
+        b = self.preconditioner.multiplier(r, at.beta)
+        nodal = self.seen.to_nodes(self.seen.drag(self._bent @ b), -b)
         rest = self.increment.array_w
         rest[:] = given[: self._n] / self._force
         self._add(nodal, rest)

@@ -13,6 +13,7 @@ from coudalfish.step.functions import Acting, Functions
 from coudalfish.step.linearised import Linearised, Preconditioner
 from coudalfish.step.method import Stepping, Turned
 from coudalfish.step.options import CouplingOptions
+from coudalfish.step.seen import Seen
 from coudalfish.surface.multiplier import held_points
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
@@ -60,7 +61,6 @@ class Converged:
         size, vector = options.multiplier_size * fluid.mesh_size, options.multiplier_direction == "vector"
         of_shell = shell.spline, shell.sheets, shell.quadrature.weights
         self.functions = Functions(*of_shell, size, vector=vector)
-        self.displacements_t = shell.displacements.T.tocsr()
         self.system, self._layout = CondensedSystem(fluid, self.functions.count), fluid.system.layout
         self.preconditioner: Preconditioner | None = None
         self.iterations: int | None = None
@@ -76,9 +76,9 @@ class Converged:
         if at.fluid.system.layout != self._layout:
             self.system = CondensedSystem(at.fluid, self.functions.count)
             self._layout = at.fluid.system.layout
+        self.system.seen = Seen.of(at)
         if self.preconditioner is None:
-            self.preconditioner, self.iterations = Preconditioner(at), None
-        self.preconditioner.at = self.system.at = at
+            self.preconditioner, self.iterations = Preconditioner(self.system.seen), None
         self.preconditioner.fluid = at.fluid.system.preconditioner()
         self.system.preconditioner = self.preconditioner
         return self.system
@@ -113,7 +113,7 @@ class ConvergedMultiplier:
         self._method, self._functions = method, method.functions
         self._held = held_points(step.comm, step.fluid.free, step.shell.sheets, step.trace, step.n)
         self._n, self._at = step.n, self._functions.acting(step, np.where(self._held, 0.0, 1.0))
-        self._own = self._at.X is not None
+        self._own = self._at.own_normals
         self._c = self._functions.fitted(step.lam, step.n, own_normals=self._own)
         ranks.share(step.comm, self._c)
         if self._own:  # what acted on nothing is no load by which the next step could place the surface
@@ -126,8 +126,9 @@ class ConvergedMultiplier:
         self.acting = np.where(self._held[:, None] if self.whole.ndim == 2 else self._held, 0.0, self.whole)
         self.turned = None
         at, shape = self._acting(step), (-1, step.n.shape[1])
-        if at.X is not None:
-            self.turned = Turned((at.G @ self._c).reshape(shape), (at.X @ self._c).reshape(shape))
+        if self._own:
+            at_points = ranks.total(step.comm, at.G @ self._c)
+            self.turned = Turned(at_points.reshape(shape), (at.F @ self._c).reshape(shape))
 
     def _acting(self, step: Stepping) -> Acting:
         """The functions along the present normals, which may follow the iterate."""
@@ -138,8 +139,7 @@ class ConvergedMultiplier:
     def _slip(self, step: Stepping) -> FloatArray:
         """Power of the functions' forces by the velocity of the fluid relative to the shell, shape (coefficients,)."""
         at = self._acting(step)
-        slip = np.asarray(at.G.T @ (step.u - step.y_dot).ravel())
-        return slip if at.X is None else slip + step.fluid.power(at.X, step.trace)
+        return step.fluid.power(at.F, step.trace, at.G.T @ step.y_dot.ravel())
 
     def advance(self, step: Stepping) -> float:
         """See :class:`coudalfish.step.method.StepMultiplier`."""
@@ -183,9 +183,8 @@ class ConvergedMultiplier:
             W=np.repeat(step.W, d),
             H=acting.H,
             G=acting.G,
-            X=acting.X,
+            F=acting.F,
             P=shell.displacements,
-            P_t=self._method.displacements_t,
             solve_shell=shell.system.inverse,
             beta=step.beta,
             a_s=shell.timeInt.xdot_factor,

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from mpi4py import MPI
 from scipy.sparse.linalg import LinearOperator, splu
 
 from coudalfish.step.method import Stepping
-from coudalfish.surface.exchange import along_normals, tractions
+from coudalfish.surface.exchange import along_normals, by_components, tractions
 from coudalfish.surface.hats import hat_functions
-from coudalfish.surface.meeting import NormalForces
 from coudalfish.surface.sheets import Sheets
 from tigar_x.compat import FloatArray
 from tigar_x.splines.spline import ExtractedSpline
@@ -26,14 +26,15 @@ class Acting:
 
     Attributes:
         H: forces per area at the points, zero where they act on nothing, shape (points d, coefficients).
-        G: forces on the shell, shape (points d, coefficients).
-        X: forces on the trace's nodes beside those that G has there, shape (nodes d, coefficients), this rank's share;
-            None: there are none.
+        G: forces on the shell, shape (points d, coefficients), this rank's share.
+        F: forces on the trace's nodes, shape (nodes d, coefficients), likewise.
+        own_normals: whether the meeting has normals of its own.
     """
 
     H: sp.csr_matrix
     G: sp.csr_matrix
-    X: sp.csr_matrix | None
+    F: sp.csr_matrix
+    own_normals: bool
 
 
 class Functions:
@@ -122,9 +123,14 @@ class Functions:
             data = spread.data * factors.ravel()[self._rows]
             H = sp.csr_matrix((data, spread.indices, spread.indptr), shape=spread.shape)
         if own is not None and not self.vector:
-            return Acting(H, own.at_points, own.beside)
+            return Acting(H, own.at_points, own.at_nodes, own_normals=True)
         G = sp.csr_matrix(sp.diags(np.repeat(step.W, d)) @ H)
-        return Acting(H, G, None) if own is None else Acting(H, *_with_own(G, own))
+        F = by_components(step.trace.transposed, G)
+        if step.comm.size > 1:
+            G = sp.csr_matrix(sp.diags(np.repeat(_shares(step), d)) @ G)
+        if own is None:
+            return Acting(H, G, F, own_normals=False)
+        return Acting(H, _with_own(G, own.at_points), _with_own(F, own.at_nodes), own_normals=True)
 
     def _across(self, n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Two directions across the mean normal of each function, shape (functions, 3) each."""
@@ -151,12 +157,20 @@ class Functions:
         return sp.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape)
 
 
-def _with_own(G: sp.csr_matrix, own: NormalForces) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+def _shares(step: Stepping) -> FloatArray:
+    """This rank's share of every point: as many ranks as see it have the same (collective), shape (points,)."""
+    seen = np.diff(step.trace.B.indptr) > 0
+    count = seen.astype(np.int32)
+    step.comm.Allreduce(MPI.IN_PLACE, count, op=MPI.SUM)
+    return np.divide(1.0, count, out=np.zeros(len(count)), where=seen)
+
+
+def _with_own(forces: sp.csr_matrix, along: sp.csr_matrix) -> sp.csr_matrix:
     """Forces of vectors whose first coefficients, of three, act along the meeting's own normals."""
-    m = own.at_points.shape[1]
+    m = along.shape[1]
     place = sp.csr_matrix((np.ones(m), (np.arange(m), 3 * np.arange(m))), shape=(m, 3 * m))
     others = sp.diags(np.tile([0.0, 1.0, 1.0], m))
-    return sp.csr_matrix(G @ others + own.at_points @ place), sp.csr_matrix(own.beside @ place)
+    return sp.csr_matrix(forces @ others + along @ place)
 
 
 def nearest_coefficients(N: sp.csr_matrix, W: FloatArray) -> LinearOperator:

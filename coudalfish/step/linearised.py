@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg as la
@@ -14,8 +14,12 @@ from petsc4py import PETSc
 
 from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.surface.trace import TraceMatrix
+from tigar_x import ranks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError
+
+if TYPE_CHECKING:
+    from coudalfish.step.seen import Seen
 
 DEPENDENT = 1e-13
 """Pivot relative to the largest one below which functions depend on each other, as those of two sheets in one place."""
@@ -37,11 +41,9 @@ class Linearised:
         part: what its tangent has of the penalty, for one component, shape (trace nodes, trace nodes).
         W: areas, zero at inactive points, shape (points d,).
         H: functions of the multiplier, zero where it acts on nothing, shape (points d, functions).
-        G: their forces on the shell, shape (points d, functions).
-        X: forces on the trace's nodes beside ``T' G``, shape (nodes d, functions), this rank's share; None: there are
-            none.
+        G: their forces on the shell, shape (points d, functions), this rank's share.
+        F: their forces on the trace's nodes, shape (nodes d, functions), likewise.
         P: displacements of the points by the shell's coefficients, shape (points d, coefficients).
-        P_t: its transpose.
         solve_shell: A_s^-1 times its argument, shape (coefficients,), or each of its columns.
         beta: penalty.
         a_s: derivative of y' by y.
@@ -53,9 +55,8 @@ class Linearised:
     W: FloatArray
     H: sp.csr_matrix
     G: sp.csr_matrix
-    X: sp.csr_matrix | None
+    F: sp.csr_matrix
     P: sp.csr_matrix
-    P_t: sp.csr_matrix
     solve_shell: Callable[[FloatArray], FloatArray]
     beta: float
     a_s: float
@@ -81,19 +82,9 @@ class Linearised:
         return self.fluid.free[self.trace.nodes].astype(np.float64)
 
     @cached_property
-    def H_t(self) -> sp.csr_matrix:
-        """Functions by points, shape (functions, points d)."""
-        return self.H.T.tocsr()
-
-    @cached_property
-    def G_t(self) -> sp.csr_matrix:
-        """Forces of the functions, shape (functions, points d)."""
-        return self.G.T.tocsr()
-
-    @cached_property
-    def X_t(self) -> sp.csr_matrix | None:
-        """What is beside them, shape (functions, nodes d)."""
-        return None if self.X is None else self.X.T.tocsr()
+    def F_t(self) -> sp.csr_matrix:
+        """Forces of the functions on the nodes, shape (functions, nodes d)."""
+        return self.F.T.tocsr()
 
     @cached_property
     def idle(self) -> Any:
@@ -101,99 +92,64 @@ class Linearised:
 
         Those that end at a row of points have values of rounding there, which determine nothing either.
         """
-        size = self.H_t.multiply(self.H_t) @ self.W
+        size = self.H.multiply(self.H).T @ self.W
         return size <= NOTHING * size.max(initial=0.0)
-
-    def moved(self, forces: FloatArray) -> FloatArray:
-        """Velocity with which the shell gives way to forces at the points, or to columns: ``a_s P A_s^-1 P'``."""
-        return np.asarray(self.a_s * (self.P @ self.solve_shell(self.P_t @ forces)))
-
-    def to_nodes(self, forces: FloatArray, b: FloatArray | None = None) -> FloatArray:
-        """This rank's share of forces on the trace's nodes, shape (nodes, d).
-
-        Args:
-            forces: at the points, shape (points d,).
-            b: coefficients of functions that have more than these, shape (functions,); None: there are none.
-        """
-        nodal = self.trace.transposed @ forces.reshape(-1, self.dofs.shape[1])
-        if self.X is not None and b is not None:
-            nodal = nodal + (self.X @ b).reshape(nodal.shape)
-        return np.asarray(self.free * nodal)
 
 
 class Preconditioner:
     """Upper triangular part of the system, with the fluid's own preconditioner and a kept S of the multiplier.
 
     Args:
-        at: the state at which S is made (collective).
+        seen: the state at which S is made (collective).
 
     Attributes:
-        at: as given, or a later state, whose fluid is taken.
-        made: as given.
         bent: how the shell gives way to the multiplier's functions, shape (coefficients, functions).
         fluid: the fluid's preconditioner.
     """
 
     fluid: PETSc.PC
 
-    def __init__(self, at: Linearised) -> None:
-        self.at = self.made = at
-        loads = sp.csr_matrix(at.P_t @ at.G)
-        self.bent = at.solve_shell(loads.toarray())
-        S = at.a_s * (loads.T @ self.bent) + WEAK / at.beta * (at.G_t @ at.H).toarray()
-        S += at.fluid.timeInt.x_factor * self._by_fluid()
+    def __init__(self, seen: "Seen") -> None:
+        at = seen.at
+        own, loads = sp.csr_matrix(seen.P.T @ seen.G), np.zeros((at.P.shape[1], at.G.shape[1]))
+        loads[seen.columns] = own.toarray()
+        self.bent = at.solve_shell(ranks.total(at.fluid.comm, loads))
+        S = at.a_s * (own.T @ self.bent[seen.columns]) + WEAK / at.beta * (seen.G.T @ seen.H).toarray()
+        S += at.fluid.timeInt.x_factor * self._by_fluid(seen)
+        S = ranks.total(at.fluid.comm, S)
         S[at.idle, at.idle] = S.diagonal().max(initial=0.0) or 1.0
         if not np.isfinite(S).all() or not S.size:
             raise SolveError("the multiplier's system is not finite")
         self._factors = _factors(S)
 
-    def _by_fluid(self) -> FloatArray:
-        """``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
-        at, diagonal = self.at, self.at.fluid.diagonal()
-        forces = at.G.toarray() - self._drag(self.bent)
-        if at.fluid.comm.size == 1:
-            T, X, inverse = at.trace.B, at.X, at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
-        else:
-            T, X, inverse = self._from_all_ranks(diagonal)
-        C = (T.T @ forces.reshape(T.shape[0], -1)).reshape(inverse.size, forces.shape[1])
-        if X is not None:
-            C = np.asarray(C + X)
+    def _by_fluid(self, seen: "Seen") -> FloatArray:
+        """This rank's share of ``C' D^-1 C`` with D the diagonal of the fluid's tangent (collective)."""
+        at, diagonal = seen.at, seen.at.fluid.diagonal()
+        drag = seen.drag(self.bent[seen.columns])
+        wide = at.dofs.shape[1] * at.F.shape[1]
+        C = at.F.toarray() - (seen.B.T @ drag.reshape(-1, wide)).reshape(at.F.shape)
+        inverse = at.free / np.where(at.free > 0.0, diagonal[at.dofs], 1.0)
+        if at.fluid.comm.size > 1:
+            inverse *= self._first_of_all_ranks(at, C.reshape(-1, wide))[:, None]
         return np.asarray(C.T @ (inverse.ravel()[:, None] * C))
 
-    def _from_all_ranks(self, diagonal: FloatArray) -> tuple[sp.csr_matrix, sp.csr_matrix | None, FloatArray]:
-        """The whole trace, what is beside, and the inverse of the diagonal at its nodes, on every rank (collective)."""
-        at, fluid, T, d = self.at, self.at.fluid, self.at.trace.B.tocoo(), self.at.dofs.shape[1]
-        names, X = fluid.names(at.trace.nodes), None if at.X is None else at.X.tocoo()
-        beside = () if X is None else (names[X.row // d], X.row % d, X.col, X.data)
-        parts = [
-            np.concatenate(part)
-            for part in zip(*fluid.comm.allgather((T.row, names[T.col], T.data, *beside)), strict=True)
-        ]
-        nodes = np.unique(np.concatenate([parts[1], *parts[3:4]]))
-        whole = sp.csr_matrix((parts[2], (parts[0], np.searchsorted(nodes, parts[1]))), shape=(T.shape[0], len(nodes)))
-        if X is not None:
-            row = d * np.searchsorted(nodes, parts[3]) + parts[4]
-            X = sp.csr_matrix((parts[6], (row, parts[5])), shape=(d * len(nodes), X.shape[1]))
-        own = fluid.owned_nodes(nodes)
-        mine = own >= 0
-        inverse = np.zeros((len(nodes), at.dofs.shape[1]))
-        dofs, free = fluid.trace_dofs[own[mine]], fluid.free[own[mine]]
-        inverse[mine] = np.where(free, 1.0 / np.where(free, diagonal[dofs], 1.0), 0.0)
-        fluid.comm.Allreduce(MPI.IN_PLACE, inverse, op=MPI.SUM)
-        return whole, X, inverse
+    def _first_of_all_ranks(self, at: Linearised, rows: FloatArray) -> Any:
+        """Turn shares at nodes that several ranks see into their sums: mask of those that no rank before sees."""
+        comm, names = at.fluid.comm, at.fluid.names(at.trace.nodes)
+        each = comm.allgather(names)
+        every, count = np.unique(np.concatenate(each), return_counts=True)
+        common = every[count > 1]
+        mine = np.flatnonzero(np.isin(names, common))
+        place = np.searchsorted(common, names[mine])
+        sums = np.zeros((len(common), rows.shape[1]))
+        sums[place] = rows[mine]
+        comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+        rows[mine] = sums[place]
+        return ~np.isin(names, np.concatenate([names[:0], *each[: comm.rank]]))
 
-    def multiplier(self, r: FloatArray) -> FloatArray:
-        """Increment of the multiplier's coefficients."""
-        return np.asarray(-la.lu_solve(self._factors, r, check_finite=False) / self.at.beta)
-
-    def forces(self, b: FloatArray) -> FloatArray:
-        """Forces of coefficients at the points."""
-        return np.asarray(self.made.G @ b - self._drag(self.bent @ b))
-
-    def _drag(self, y: FloatArray) -> FloatArray:
-        """Forces of the penalty at the points where the shell moves by its coefficients, or by columns of them."""
-        at = self.made
-        return np.asarray((at.beta * at.a_s * (at.W * (at.P @ y).T)).T)
+    def multiplier(self, r: FloatArray, beta: float) -> FloatArray:
+        """Increment of the multiplier's coefficients; beta is the penalty."""
+        return np.asarray(-la.lu_solve(self._factors, r, check_finite=False) / beta)
 
 
 def _factors(S: FloatArray) -> Any:

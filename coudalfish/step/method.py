@@ -80,8 +80,7 @@ class Turned:
 
     Attributes:
         at_points: of its part that acts, fluid on shell, shape (points, d); unit: force.
-        at_nodes: on the nodes of the trace, beside what the forces at the points do there, shape (nodes, d), this
-            rank's share.
+        at_nodes: the same on the nodes of the trace, shape (nodes, d), this rank's share.
     """
 
     at_points: FloatArray

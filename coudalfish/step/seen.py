@@ -1,88 +1,70 @@
-"""The points that a rank's cells see, and the product with the system's matrix made of these alone.
+"""The points that a rank's cells see, and the products with the system's matrix made of these.
 
-Of the sums over points each rank finds its share: those over the fluid's nodes are its own anyway, and points that are
-seen from several ranks count a part on each. What ranks have in common is the shell's solution, and velocities at the
-points that more than one of them sees.
+Of the sums over points each rank finds its share: those over the fluid's nodes are its own anyway, and so are the
+forces of the multiplier that act there. What ranks have in common is the shell's solution, and velocities at the points
+that more than one of them sees.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from coudalfish.step.linearised import WEAK, Linearised, Preconditioner
+from coudalfish.step.linearised import WEAK, Linearised
 from tigar_x.compat import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Parts of the system at the points that this rank sees, on several ranks.
+    """Parts of the system at the points that this rank sees.
 
     Attributes:
         at: the whole.
-        rows: of matrices of points, of those that are seen, shape (n,).
-        count: by how many ranks each of them is seen, shape (n,).
-        common: mask of the rows of points that several ranks see.
-        places: their numbers among those that any rank has in common with another one.
+        common: of the rows of these points, those of points that other ranks see as well.
+        places: their numbers among all points that several ranks see.
         shared: number of these.
         B: trace, shape (n / d, nodes).
-        B_t: its transpose.
-        P: displacement, shape (n, coefficients).
-        P_t: its transpose.
-        G: forces of the multiplier's functions, shape (n, functions).
-        G_t: its transpose.
-        H_t: functions, shape (functions, n).
+        columns: which of the shell's coefficients move these points.
+        P: their displacement by these, shape (n, columns).
+        G: forces of the multiplier's functions on the shell, this rank's share, shape (n, functions).
+        H: functions, shape (n, functions).
         W: areas, shape (n,).
     """
 
     at: Linearised
-    rows: Any
-    count: FloatArray
     common: Any
     places: Any
     shared: int
     B: sp.csr_matrix
-    B_t: sp.csr_matrix
+    columns: Any
     P: sp.csr_matrix
-    P_t: sp.csr_matrix
     G: sp.csr_matrix
-    G_t: sp.csr_matrix
-    H_t: sp.csr_matrix
+    H: sp.csr_matrix
     W: FloatArray
-    _known: dict[Preconditioner, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, at: Linearised) -> "Seen":
         """Those of the system at a state (collective)."""
-        d, B = at.dofs.shape[1], at.trace.B
+        d, B, comm = at.dofs.shape[1], at.trace.B, at.fluid.comm
+        if comm.size == 1:
+            none = np.empty(0, dtype=np.int64)
+            return cls(at, none, none, 0, B, slice(None), at.P, at.G, at.H, at.W)
         seen = np.diff(B.indptr) > 0
         count = seen.astype(np.int32)
-        at.fluid.comm.Allreduce(MPI.IN_PLACE, count, op=MPI.SUM)
-        points, several = np.flatnonzero(seen), np.flatnonzero(count > 1)
+        comm.Allreduce(MPI.IN_PLACE, count, op=MPI.SUM)
+        points = np.flatnonzero(seen | (np.diff(at.G.indptr).reshape(-1, d).any(axis=1)))
+        several = np.flatnonzero(count > 1)
         rows = (d * points[:, None] + np.arange(d)).ravel()
         place = np.full((len(count), d), -1)
         place[several] = np.arange(d * len(several)).reshape(-1, d)
         places = place.ravel()[rows]
-        common = places >= 0
-        own, P, G = B[points], at.P[rows], at.G[rows]
-        return cls(
-            at=at,
-            rows=rows,
-            count=np.repeat(count[points], d).astype(np.float64),
-            common=common,
-            places=places[common],
-            shared=d * len(several),
-            B=own,
-            B_t=own.T.tocsr(),
-            P=P,
-            P_t=P.T.tocsr(),
-            G=G,
-            G_t=G.T.tocsr(),
-            H_t=at.H[rows].T.tocsr(),
-            W=at.W[rows],
-        )
+        common = np.flatnonzero(places >= 0)
+        P = at.P[rows]
+        columns = np.unique(P.indices)
+        of_points = P[:, columns], at.G[rows], at.H[rows], at.W[rows]
+        return cls(at, common, places[common], d * len(several), B[points], columns, *of_points)
 
     def product(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The product's part of coupling, see :mod:`coudalfish.step.condensed` (collective).
@@ -96,44 +78,54 @@ class Seen:
             on the first rank.
         """
         at, comm, a_f = self.at, self.at.fluid.comm, self.at.fluid.timeInt.x_factor
-        comm.Bcast(b)
+        if comm.size > 1:
+            comm.Bcast(b)
         v, pushed = (a_f * (self.B @ a)).ravel(), self.G @ b
-        sums = np.zeros(self.shared + self.P.shape[1])
-        sums[self.places] = v[self.common]
-        sums[self.shared :] = self.P_t @ (self.W * at.beta * v + pushed / self.count)
-        comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
-        w = at.a_s * (self.P @ at.solve_shell(sums[self.shared :]))
-        slip = at.beta * (self.G_t @ (v - w / self.count)) - WEAK * (self.H_t @ (pushed / self.count))
-        if at.X_t is not None:
-            slip[: at.X_t.shape[0]] += at.beta * a_f * (at.X_t @ a.ravel())
+        sums = np.zeros(self.shared + at.P.shape[1])
+        sums[self.places], load = v[self.common], sums[self.shared :]
+        load[self.columns] = self.P.T @ (self.W * at.beta * v + pushed)
+        if comm.size > 1:
+            comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
+        w = at.a_s * (self.P @ at.solve_shell(load)[self.columns])
+        slip = at.beta * (a_f * (at.F_t @ a.ravel()) - self.G.T @ w) - WEAK * (self.H.T @ pushed)
         v[self.common] = sums[self.places]
-        nodal = self.to_nodes(self.W * at.beta * (v - w) + pushed, b) - at.free * (at.part @ a)
-        total = np.empty_like(slip)
-        comm.Reduce(slip, total, op=MPI.SUM)
-        return nodal, total
+        nodal = self.to_nodes(self.W * at.beta * (v - w), b) - at.free * (at.part @ a)
+        return nodal, self._on_first(slip)
 
-    def nodal(self, preconditioner: Preconditioner, b: FloatArray) -> FloatArray:
-        """Forces of coefficients on the trace's nodes by the preconditioner, this rank's share, shape (nodes, d).
+    def moved(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The same of an increment of the shell (collective).
 
         Args:
-            preconditioner: of the system, perhaps of an earlier state.
-            b: coefficients, the same on every rank, shape (functions,).
+            y: coefficients, shape (coefficients,).
+
+        Returns:
+            See :meth:`product`.
         """
-        made = preconditioner.made
-        G, P, bent = self._of_made(preconditioner)
-        return self.to_nodes(G @ b - made.beta * made.a_s * (made.W[self.rows] * (P @ (bent @ b))), b)
+        at = self.at
+        w = at.a_s * (self.P @ y[self.columns])
+        return self.to_nodes(at.beta * self.W * w), self._on_first(at.beta * (self.G.T @ w))
 
-    def _of_made(self, preconditioner: Preconditioner) -> tuple[sp.csr_matrix, sp.csr_matrix, FloatArray]:
-        """Its forces and displacements at the points that are seen, and how coefficients that move these give way."""
-        if preconditioner not in self._known:
-            used = np.unique(self.P.indices)
-            self._known.clear()
-            self._known[preconditioner] = preconditioner.made.G[self.rows], self.P[:, used], preconditioner.bent[used]
-        return self._known[preconditioner]
+    def _on_first(self, share: FloatArray) -> FloatArray:
+        """Sums over the ranks, on the first one (collective)."""
+        if self.at.fluid.comm.size == 1:
+            return share
+        total = np.empty_like(share)
+        self.at.fluid.comm.Reduce(share, total, op=MPI.SUM)
+        return total
 
-    def to_nodes(self, forces: FloatArray, b: FloatArray) -> FloatArray:
-        """This rank's share of forces at the points that are seen, and of functions, on the nodes, shape (nodes, d)."""
-        nodal = self.B_t @ forces.reshape(-1, self.at.dofs.shape[1])
-        if self.at.X is not None:
-            nodal = nodal + (self.at.X @ b).reshape(nodal.shape)
+    def drag(self, y: FloatArray) -> FloatArray:
+        """Forces of the penalty at the points where these coefficients move the shell, or columns of them do."""
+        at = self.at
+        return np.asarray((at.beta * at.a_s * (self.W * (self.P @ y).T)).T)
+
+    def to_nodes(self, forces: FloatArray, b: FloatArray | None = None) -> FloatArray:
+        """This rank's share of forces on the trace's nodes, shape (nodes, d).
+
+        Args:
+            forces: at the points, those of the multiplier's functions apart, shape (n,).
+            b: coefficients of these, shape (functions,); None: zero.
+        """
+        nodal = self.B.T @ forces.reshape(-1, self.at.dofs.shape[1])
+        if b is not None:
+            nodal += (self.at.F @ b).reshape(nodal.shape)
         return np.asarray(self.at.free * nodal)

@@ -36,6 +36,24 @@ def along_normals(lam: FloatArray, n: FloatArray) -> FloatArray:
     return np.divide(np.einsum("qi,qi->q", lam, n), square, out=np.zeros_like(square), where=square > 0.0)
 
 
+def by_components(A: sp.spmatrix, forces: sp.spmatrix) -> sp.csr_matrix:
+    """A matrix times all components of forces, ``(A x I) F``.
+
+    Args:
+        A: shape (m, n).
+        forces: those of functions, shape (n d, functions).
+
+    Returns:
+        Shape (m d, functions).
+    """
+    d = forces.shape[0] // A.shape[1]
+    F = forces.tobsr((d, 1))
+    beside = sp.bsr_matrix((F.data.reshape(-1, 1, d), F.indices, F.indptr), shape=(A.shape[1], d * F.shape[1]))
+    product = A.tocsr().tobsr((1, 1)) @ beside  # components beside each other: one product for all
+    blocks = product.data.reshape(-1, d, 1), product.indices, product.indptr
+    return sp.bsr_matrix(blocks, shape=(d * A.shape[0], F.shape[1])).tocsr()
+
+
 def point_forces(
     u: FloatArray, y_dot: FloatArray, lam: FloatArray, n: FloatArray, W: FloatArray, *, penalty: float
 ) -> FloatArray:

@@ -17,13 +17,12 @@ class NormalForces:
     """Forces of a multiplier's functions along normals that the meeting has of its own.
 
     Attributes:
-        at_points: on the surface, the same on every rank, shape (points d, functions).
-        beside: on the nodes of the trace, beside what these do there by the trace, shape (nodes d, functions); this
-            rank's share.
+        at_points: on the surface, shape (points d, functions); this rank's share.
+        at_nodes: on the nodes of the trace, shape (nodes d, functions); likewise.
     """
 
     at_points: sp.csr_matrix
-    beside: sp.csr_matrix
+    at_nodes: sp.csr_matrix
 
 
 class Meeting(Protocol):

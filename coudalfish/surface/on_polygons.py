@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from coudalfish.surface.averaged import TOUCHING, Averaged
+from coudalfish.surface.exchange import by_components
 from coudalfish.surface.meeting import Meeting, NormalForces
 from coudalfish.surface.net import Net
 from coudalfish.surface.polygons import ZeroPoints
@@ -90,16 +91,12 @@ class OnPolygons(Averaged):
             n: the surface's normals, which agree across joints, shape (points, d).
             trace: see :class:`coudalfish.surface.meeting.Meeting`.
         """
-        E, B = (self.penalty[0], self.trace.B) if trace is None else (trace, self.means @ trace)
-        d, acting = self.normals.shape[1], (self._sided(n) @ functions).tocsr()
-        forces = self.penalty[1][:, None] * self.normals
-        rows = np.repeat(np.arange(acting.shape[0]), np.diff(acting.indptr))
-        columns = d * acting.indices[:, None] + np.arange(d)  # components beside each other: one product for all
-        entries = (acting.data[:, None] * forces[rows]).ravel(), columns.ravel(), d * acting.indptr
-        each = sp.csr_matrix(entries, shape=(acting.shape[0], d * acting.shape[1]))
-        at_points = self._of_all_ranks((self.hats.T.tocsr() @ each).tocsr())
-        beside = E.T.tocsr() @ each - B.T.tocsr() @ at_points
-        return NormalForces(_below(at_points, d), _below(beside, d))
+        E, forces = self.penalty[0] if trace is None else trace, self.penalty[1][:, None] * self.normals
+        acting = (self._sided(n) @ functions).tocsr()
+        d, rows = self.normals.shape[1], np.repeat(np.arange(acting.shape[0]), np.diff(acting.indptr))
+        blocks = (acting.data[:, None] * forces[rows])[:, :, None], acting.indices, acting.indptr
+        each = sp.bsr_matrix(blocks, shape=(d * acting.shape[0], acting.shape[1]))
+        return NormalForces(by_components(self.hats.T, each), by_components(E.T, each))
 
     def _sided(self, n: FloatArray) -> sp.csr_matrix:
         """Hat functions with the side of the surface on which the polygons' normals are, 1 or -1 (collective).
@@ -118,19 +115,3 @@ class OnPolygons(Averaged):
         each = np.where(np.einsum("gi,gi->g", self.hats @ n, self.normals) < 0.0, -1.0, 1.0)
         single = np.append(False, one_sided)[sheet + 1]
         return sided @ sp.diags(1.0 * ~single) + sp.diags(each) @ self.hats @ sp.diags(1.0 * single)
-
-    def _of_all_ranks(self, share: sp.csr_matrix) -> sp.csr_matrix:
-        """Sum of the ranks' shares of a matrix (collective)."""
-        if self.comm.size == 1:
-            return share
-        part = share.tocoo()
-        parts = self.comm.allgather((part.row, part.col, part.data))
-        row, column, data = (np.concatenate(values) for values in zip(*parts, strict=True))
-        return sp.csr_matrix((data, (row, column)), shape=share.shape)
-
-
-def _below(matrix: sp.csr_matrix, d: int) -> sp.csr_matrix:
-    """Components that are beside each other, in d columns, one below the other, in d rows."""
-    part = matrix.tocoo()
-    entries = part.data, (d * part.row + part.col % d, part.col // d)
-    return sp.csr_matrix(entries, shape=(d * matrix.shape[0], matrix.shape[1] // d))
