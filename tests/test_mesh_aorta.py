@@ -6,7 +6,7 @@ from mpi4py import MPI
 from scipy.integrate import trapezoid
 
 from tigar_x import compat
-from varmint.mesh.aorta import aortic_root
+from varmint.mesh.aorta import aortic_root, sectors
 
 COMM = MPI.COMM_WORLD
 VOLUME = 10.65
@@ -107,3 +107,27 @@ def test_cells_are_smaller_where_leaflets_move():
 def test_what_is_refused(change, named):
     with pytest.raises(ValueError, match=named):
         aortic_root(MPI.COMM_SELF, **({"size": 0.3} | change))
+
+
+@pytest.mark.mpi
+def test_ranks_have_sectors_with_as_many_cells_and_know_those_across_their_facets():
+    domain = aortic_root(COMM, size=0.3).domain
+    own = compat.owned_cells(domain)
+    counts = COMM.allgather(own)
+    assert max(counts) - min(counts) <= 1
+    middles = compat.cell_vertices(domain)[:own].mean(axis=1)
+    near = np.abs(middles[:, 2] - 0.55) < 0.5  # where leaflets are
+    shares = COMM.allgather(int(near.sum()))
+    assert max(shares) < 1.1 * sum(shares) / COMM.size
+    of_cells, of_facets = compat.connectivity(domain, 3, 2), compat.connectivity(domain, 2, 3)
+    facets = np.unique(of_cells.array.reshape(-1, 4)[:own])
+    alone = facets[np.diff(of_facets.offsets)[facets] == 1]
+    np.testing.assert_array_equal(alone, np.intersect1d(compat.exterior_facets(domain), facets))
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 5, 7, 12, 64])
+def test_sectors_of_any_number_of_ranks(ranks):
+    x = np.random.default_rng(1).uniform(-1.0, 1.0, (1000, 3))
+    counts = np.bincount(sectors(x, ranks), minlength=ranks)
+    assert len(counts) == ranks
+    assert counts.min() >= counts.max() - 2

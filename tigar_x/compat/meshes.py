@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
-from dolfinx import geometry, la, mesh
+from dolfinx import geometry, graph, la, mesh
 from numpy.typing import ArrayLike, NDArray
 
 from tigar_x.compat.release import VERSION, FloatArray, IntArray, as_table
@@ -56,7 +56,7 @@ def is_simplex(domain: mesh.Mesh) -> bool:
     return cell_name(domain) in ("triangle", "tetrahedron")
 
 
-def create_mesh(comm: MPI.Comm, cell: str, cells: ArrayLike, x: ArrayLike) -> mesh.Mesh:
+def create_mesh(comm: MPI.Comm, cell: str, cells: ArrayLike, x: ArrayLike, owner: IntArray | None = None) -> mesh.Mesh:
     """Mesh of affine or multilinear cells from arrays; ranks know the cells across the facets of their own.
 
     Args:
@@ -64,13 +64,40 @@ def create_mesh(comm: MPI.Comm, cell: str, cells: ArrayLike, x: ArrayLike) -> me
         cell: UFL name of the cell.
         cells: vertices of the cells, shape (cells, vertices per cell), in dolfinx's ordering.
         x: coordinates, shape (vertices, geometric dimension).
+        owner: rank that gets each simplex, shape (cells,), empty on the other ranks; None: dolfinx's choice.
 
     Returns:
         The distributed mesh.
     """
-    points = np.asarray(x, dtype=np.float64)
-    how = _coordinates(cell, points.shape[1]) | _partitioner(comm)
-    return mesh.create_mesh(comm, cells=np.asarray(cells, dtype=np.int64), x=points, **how)
+    points, table = np.asarray(x, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    how = _coordinates(cell, points.shape[1])
+    if owner is None:
+        how |= _partitioner(comm)
+    else:
+        given = _adjacency(*_ranks_of(table, owner))
+        how["partitioner"] = lambda *_: given
+    return mesh.create_mesh(comm, cells=table, x=points, **how)
+
+
+def _adjacency(data: NDArray[np.int32], starts: NDArray[np.int32]) -> Any:
+    """Lists, one after the other in an array, as dolfinx takes them."""
+    made = (getattr(graph, "adjacencylist", None) or graph.create_adjacencylist)(data, starts)
+    return getattr(made, "_cpp_object", made)
+
+
+def _ranks_of(cells: Any, owner: IntArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Ranks of every simplex, its owner first, then those that own one across a facet, and where its list begins."""
+    n, corners = cells.shape
+    opposite = np.array([np.delete(np.arange(corners), k) for k in range(corners)])
+    facets = np.sort(cells[:, opposite], axis=2).reshape(-1, corners - 1)
+    order = np.lexsort(facets.T)
+    same = (facets[order[1:]] == facets[order[:-1]]).all(axis=1)
+    a, b = order[:-1][same] // corners, order[1:][same] // corners
+    known = np.unique(np.stack([np.append(a, b), owner[np.append(b, a)]], axis=1), axis=0)
+    known = known[known[:, 1] != owner[known[:, 0]]]
+    every, rank = np.append(np.arange(n), known[:, 0]), np.append(owner, known[:, 1])
+    starts = np.append(0, np.cumsum(np.bincount(every, minlength=n)))
+    return rank[np.argsort(every, kind="stable")].astype(np.int32), starts.astype(np.int32)
 
 
 def cell_vertices(domain: mesh.Mesh) -> FloatArray:

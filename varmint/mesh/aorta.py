@@ -6,10 +6,13 @@ import numpy as np
 from mpi4py import MPI
 
 from tigar_x import checks
+from tigar_x.compat import FloatArray, IntArray
 from varmint.mesh.models import Region, from_gmsh, set_sizes
 from varmint.mesh.named import NamedMesh
 
 SINUSES = 3
+MOST = 6
+"""Sectors of the aorta that ranks get, at most: narrower ones have too much of a boundary."""
 
 
 def aortic_root(
@@ -87,4 +90,25 @@ def aortic_root(
         shape = {"XMin": -radius, "XMax": radius, "YMin": -radius, "YMax": radius, "ZMin": low, "ZMax": high}
         set_sizes(gmsh, size, [] if fine == size else [Region("Box", fine, shape)])
 
-    return from_gmsh(comm, build, 3)
+    return from_gmsh(comm, build, 3, sectors)
+
+
+def sectors(x: FloatArray, ranks: int) -> IntArray:
+    """Ranks of cells: sectors about the third axis, so that each has its part of what lies around this.
+
+    Leaflets, whose cells take longer than others, would be all of one rank in a part of the aorta's length. More than
+    :data:`MOST` ranks share the length as well.
+
+    Args:
+        x: middles of cells, shape (cells, 3).
+        ranks: number of the ranks.
+
+    Returns:
+        Shape (cells,).
+    """
+    along = next(k for k in range(1, ranks + 1) if ranks % k == 0 and ranks // k <= MOST)
+    rank, azimuth = np.empty(len(x), dtype=np.int32), np.arctan2(x[:, 1], x[:, 0])
+    for k, sector in enumerate(np.array_split(np.argsort(azimuth), ranks // along)):
+        for j, part in enumerate(np.array_split(sector[np.argsort(x[sector, 2])], along)):
+            rank[part] = along * k + j
+    return rank

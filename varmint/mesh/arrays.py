@@ -1,6 +1,7 @@
 """Meshes from arrays with named groups of facets and cells, distributed over the ranks."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import permutations
 from typing import Any
 
@@ -10,7 +11,7 @@ from dolfinx import mesh
 from numpy.typing import ArrayLike
 
 from tigar_x import checks, compat
-from tigar_x.compat import IntArray
+from tigar_x.compat import FloatArray, IntArray
 from tigar_x.ranks import on_root
 from varmint.mesh.checks import DIMENSIONS, VERTICES, MeshArrays, checked_arrays, number_rows
 from varmint.mesh.named import NamedMesh, equal_parts, named, sides_of, tagged
@@ -125,12 +126,17 @@ def checked(domain: mesh.Mesh) -> mesh.Mesh:
     return domain
 
 
-def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays]) -> NamedMesh:
+Owners = Callable[[FloatArray, int], IntArray]
+"""From the middles of simplices, shape (cells, d), and the number of ranks to the rank of each, shape (cells,)."""
+
+
+def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays], owners: Owners | None = None) -> NamedMesh:
     """Mesh from arrays that rank 0 makes, once they are known to be one.
 
     Args:
         comm: communicator.
         make: function that makes the arrays; only rank 0 calls it.
+        owners: which rank gets which simplex; only rank 0 calls it. None: as few facets between ranks as possible.
 
     Returns:
         The distributed mesh.
@@ -144,7 +150,11 @@ def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays]) -> NamedMesh:
     cell, facets, groups = comm.bcast(arrays and (arrays.cell, arrays.facets, arrays.cell_groups))
     dim = DIMENSIONS[cell]
     cells = np.zeros((0, VERTICES[cell]), dtype=np.int64) if arrays is None else arrays.cells
-    domain = compat.create_mesh(comm, cell, cells, np.zeros((0, dim)) if arrays is None else arrays.x)
+    x, owner = np.zeros((0, dim)) if arrays is None else arrays.x, None
+    if owners is not None and comm.size > 1:
+        owner = on_root(comm, partial(lambda find: find(x[cells].mean(axis=1), comm.size), owners))
+        owner = np.empty(0, dtype=np.int64) if owner is None else owner
+    domain = compat.create_mesh(comm, cell, cells, x, owner)
     cell_numbers, node_numbers = compat.input_numbers(domain)
     found = {name: np.flatnonzero(np.isin(cell_numbers, group)) for name, group in groups.items()}
     sides = _matched(np.sort(node_numbers[compat.facet_nodes(domain)], axis=1), facets) if facets else {}

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from tigar_x import checks
 from tigar_x.compat import FloatArray
-from varmint.mesh.arrays import distributed
+from varmint.mesh.arrays import Owners, distributed
 from varmint.mesh.checks import MeshArrays, extruded_arrays
 from varmint.mesh.elements import Elements
 from varmint.mesh.named import CELLS, NamedMesh
@@ -45,7 +45,7 @@ class Region(NamedTuple):
     shape: dict[str, float]
 
 
-def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMesh:
+def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int, owners: Owners | None = None) -> NamedMesh:
     """Mesh of a geometry that is built by gmsh.
 
     Args:
@@ -53,6 +53,7 @@ def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMe
         build: function of the module gmsh, which has been initialized with an empty model; it makes the geometry, its
             physical groups of dimensions ``dim`` and ``dim`` - 1, and settings. It may make the mesh as well.
         dim: dimension of the cells, 2 or 3.
+        owners: see :func:`varmint.mesh.arrays.distributed`.
 
     Returns:
         The mesh; physical groups become groups of cells and facets, by their names or else their numbers. Where some
@@ -70,7 +71,7 @@ def from_gmsh(comm: MPI.Comm, build: Callable[[Any], None], dim: int) -> NamedMe
             build(gmsh)
             return model_elements(gmsh, dim, "the model of build")
 
-    return distributed(comm, lambda: elements().arrays())
+    return distributed(comm, lambda: elements().arrays(), owners)
 
 
 def channel_with_cylinder(
