@@ -12,23 +12,25 @@ from shnapr.contact.pairs import ContactForces
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
+DEALT = 32
+"""Points that a rank gets at a time: single ones would be everywhere, and so would the boxes of their tree."""
+
 
 def own_pairs(comm: MPI.Comm, x: FloatArray, reach: float) -> IndexArray:
     """Those pairs of close points that are this rank's, by their numbers, whatever other pairs there are.
 
     Args:
-        comm: the ranks, which divide the points among them like cards.
+        comm: the ranks, among which points are dealt out, some neighbours at a time.
         x: points, shape (n, d); unit: length.
         reach: distance up to which they are close.
 
     Returns:
         Pairs (i, j) with i < j, in no order, shape (pairs, 2).
     """
-    here, everywhere = (
-        cKDTree(points, balanced_tree=False, compact_nodes=False) for points in (x[comm.rank :: comm.size], x)
-    )
+    own = np.flatnonzero(np.arange(len(x)) // DEALT % comm.size == comm.rank)
+    here, everywhere = (cKDTree(points, balanced_tree=False, compact_nodes=False) for points in (x[own], x))
     found = here.sparse_distance_matrix(everywhere, reach, output_type="ndarray")
-    i, j = comm.rank + comm.size * found["i"], found["j"]
+    i, j = own[found["i"]], found["j"]
     mine = ((i < j) == ((i + j) % 2 == 0)) & (i != j)  # a pair is found from both of its points
     return np.sort(np.stack([i[mine], j[mine]], axis=1), axis=1)
 
