@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from mpi4py import MPI
 from dolfinx import fem, la
 from dolfinx.fem import petsc
@@ -84,6 +85,21 @@ def accumulate(function: fem.Function) -> None:
     """Add the values of ghosts to those of their owners, and update the ghosts (collective)."""
     add_ghosts(function)
     function.x.scatter_forward()
+
+
+def matrix_of(A: sp.csr_matrix, size: int = 1, comm: MPI.Comm = MPI.COMM_SELF) -> PETSc.Mat:
+    """A matrix as PETSc's, on one rank.
+
+    Args:
+        A: the matrix, whose indices get sorted.
+        size: of the blocks of its rows.
+        comm: communicator of the rank.
+    """
+    A.sort_indices()
+    csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
+    made = PETSc.Mat().createAIJ(A.shape, bsize=size, csr=csr, comm=comm)
+    made.assemble()
+    return made
 
 
 def maximise(space: fem.FunctionSpace, values: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ class Part:
         seen = np.unique(rows.indices)
         self._columns, self._n = seen, rows.shape[1]
         self._A = _matrix(cells[mine], nodes, size, len(owner))
-        self._M = _petsc(rows[:, seen])
+        self._M = compat.matrix_of(rows[:, seen])
         self._M_T = self._M.transpose(PETSc.Mat())
         self._A_M = self._A.matMult(self._M)
         self._K = self._M_T.matMult(self._A_M)
@@ -177,17 +177,8 @@ def _matrix(cells: IntArray, nodes: IntArray, size: int, count: int) -> PETSc.Ma
     own = place[cells]
     row, column = np.repeat(own, own.shape[1], axis=1).ravel(), np.tile(own, (1, own.shape[1])).ravel()
     pattern = sp.csr_matrix((np.ones(len(row)), (row, column)), shape=(len(nodes), len(nodes)))
-    A = _petsc(sp.csr_matrix(sp.kron(pattern, np.ones((size, size)))), size)
+    A = compat.matrix_of(sp.csr_matrix(sp.kron(pattern, np.ones((size, size)))), size)
     numbers = PETSc.LGMap().create(place, bsize=size, comm=MPI.COMM_SELF)
     A.setLGMap(numbers, numbers)
     numbers.destroy()
     return A
-
-
-def _petsc(A: sp.csr_matrix, size: int = 1) -> PETSc.Mat:
-    """A matrix as PETSc's."""
-    A.sort_indices()
-    csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
-    made = PETSc.Mat().createAIJ(A.shape, bsize=size, csr=csr, comm=MPI.COMM_SELF)
-    made.assemble()
-    return made

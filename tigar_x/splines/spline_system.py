@@ -278,9 +278,7 @@ class SplineSystem:
         """Extracted tangent with the forces between coefficients."""
         indptr, columns, values = form_part.getValuesCSR()
         total = sp.csr_matrix((values, columns, indptr), shape=form_part.size) + between
-        total.sort_indices()
-        csr = (total.indptr.astype(PETSc.IntType), total.indices.astype(PETSc.IntType), total.data)
-        A = PETSc.Mat().createAIJ(total.shape, csr=csr, comm=form_part.comm)
+        A = compat.matrix_of(total, comm=form_part.comm)
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         return A
 
