@@ -166,7 +166,7 @@ def test_at_the_poles_of_a_sphere_nothing_ends(within):
 
 def test_edges_near_a_wall_or_beyond_it_are_attached_to_it():
     plate = surfaces(grid(4, lambda u, v: np.column_stack([1.25 * u - 0.25, v, 0.5 + 0.0 * u])))
-    assert len(attached(plate, cube(2), 1e-6)) == plate.net.ends.sum() == 16
+    assert len(attached(plate, cube(2), 1e-6, MPI.COMM_SELF)) == plate.net.ends.sum() == 16
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -174,10 +174,10 @@ def test_a_free_edge_from_wall_to_wall_is_not_attached_to_them(n):
     """However few elements it has."""
     points, cells = grid(n, lambda u, v: np.column_stack([0.6 * u, v, 0.5 + 0.0 * u]))
     plate = surfaces((points, cells))
-    held = attached(plate, cube(2), 1e-6)
+    held = attached(plate, cube(2), 1e-6, MPI.COMM_SELF)
     assert len(held) == 3 * n
     net = Net(cells, plate.net.place, held)
-    triangle, corner = net.ending(net.free)
+    triangle, corner, _ = net.at_free
     ends = np.array([np.delete(net.triangles[t], c) for t, c in zip(triangle, corner, strict=True)])
     assert len(ends) == n
     np.testing.assert_allclose(points[ends, 0], 0.6)

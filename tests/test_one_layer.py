@@ -88,7 +88,7 @@ def wall_to_wall(low, margin=0.0, n=6):
 def test_a_plate_from_wall_to_wall_covers_the_layer_up_to_its_free_edge(margin):
     domain = layer(8)
     plate, walls = surfaces(wall_to_wall(0.61, margin)), boundary(domain)
-    surface = Surfaces(plate.x, Net(plate.net.cells, plate.net.place, attached(plate, walls, 0.01)))
+    surface = Surfaces(plate.x, Net(plate.net.cells, plate.net.place, attached(plate, walls, 0.01, domain.comm)))
     e = Enriching(compat.lagrange_space(domain, 1), kinked=True)
     found = e(surface)
     off = 1e-3 if margin > 0.0 else 1e-12  # round the corner of the free edge

@@ -7,6 +7,7 @@ concerned, and nothing flows around that edge. Edges come to walls and leave the
 from dataclasses import replace
 
 import numpy as np
+from mpi4py import MPI
 from dolfinx import mesh
 
 from coudalfish.surface.facets import walls_of
@@ -55,14 +56,14 @@ class Attaching:
     def __call__(self, x: FloatArray) -> Net:
         """By the positions of its points, the same on every rank, shape (points, 3); unit: length (collective)."""
         surface = Surfaces(x, self._free)
-        now = ranks.agreed(self._domain.comm, lambda: attached(surface, self._walls, self._reach))
+        now = attached(surface, self._walls, self._reach, self._domain.comm)
         if not np.array_equal(now, np.empty((0, 2)) if self._net.attached is None else self._net.attached):
             self._net = replace(self._free, attached=now)
         return self._net
 
 
-def attached(surface: Surfaces, walls: Surfaces, reach: float) -> IntArray:
-    """Edges at which a surface ends on the boundary of a fluid or beyond it.
+def attached(surface: Surfaces, walls: Surfaces, reach: float, comm: MPI.Comm) -> IntArray:
+    """Edges at which a surface ends on the boundary of a fluid or beyond it (collective).
 
     An edge that leads from one wall to another through the fluid is not attached.
 
@@ -70,15 +71,23 @@ def attached(surface: Surfaces, walls: Surfaces, reach: float) -> IntArray:
         surface: the surface.
         walls: the boundary, whose normals point out of the fluid, or a part of it.
         reach: distance from it that counts as none; unit: length.
+        comm: ranks that have both, each of which looks at some of the edges.
 
     Returns:
         Places at their ends, see :class:`coudalfish.surface.net.Net`, shape (attached, 2).
     """
     net = surface.net
-    triangle, corner = net.ending(net.ends)
-    a, b = (surface.triangles.x[triangle, end] for end in np.array(OPPOSITE)[corner].T)
-    x = np.concatenate([a, b, 0.5 * (a + b)])
+    triangle, corner, _ = net.at_ends
     size = float(np.linalg.norm(np.ptp(np.concatenate([surface.x, walls.x]), axis=0)))
-    near = walls.nearest(x, Sought(np.arange(len(x)), size))
-    there = (near.signed_distance() <= reach).reshape(3, -1).all(axis=0)  # negative beyond
+    bounds = len(triangle) * np.arange(comm.size + 1) // comm.size
+
+    def found() -> FloatArray:
+        mine = slice(*bounds[comm.rank : comm.rank + 2])
+        a, b = (surface.triangles.x[triangle[mine], end] for end in np.array(OPPOSITE)[corner[mine]].T)
+        x = np.concatenate([a, b, 0.5 * (a + b)])
+        near, result = walls.nearest(x, Sought(np.arange(len(x)), size)), np.zeros(len(triangle))
+        result[mine] = (near.signed_distance() <= reach).reshape(3, -1).all(axis=0)  # negative beyond
+        return result
+
+    there = ranks.summed(comm, len(triangle), found) > 0.0
     return np.asarray(net.edge_places[net.edges[triangle, corner][there]])

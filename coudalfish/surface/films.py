@@ -53,15 +53,15 @@ class Film:
     places: tuple[NearestOnSurfaces, NearestOnSurfaces]
 
     def work(self, load: FloatArray) -> FloatArray:
-        """Work of forces per area at the points of the sheets on both that would move from the first one to the other.
+        """Work of forces per area on both sheets that would move from the first one to the other.
 
         Args:
-            load: shape (points, 3).
+            load: at the corners of the triangles, shape (corners, 3).
 
         Returns:
             At the nodes, shape (nodes,).
         """
-        one, other = (near.values(load) for near in self.places)
+        one, other = (near.of_corners(load) for near in self.places)
         return np.asarray(np.einsum("ni,ni->n", one + other, self.away))
 
 
@@ -94,6 +94,7 @@ class Films:
         owned: int,
     ) -> None:
         self._comm, self._load, self._number, self._owned = comm, load, surfaces.sheets, owned
+        self._functions = surfaces.net.functions
         self._sheet, self._phi = near.sheet(), near.signed_distance()
         gap, covered, first, distances = near.gaps(), near.covered(), near.normals(), near.distances()
         self._films: list[Film] = []
@@ -179,7 +180,7 @@ class Films:
         Returns:
             Sums over the nodes of their films and sums of the sizes, shape (sheets, sheets) each.
         """
-        sums = np.zeros((2, self._number, self._number))
+        sums, load = np.zeros((2, self._number, self._number)), self._functions @ load
         for film in self._films:
             above = self._above(film) & (film.nodes < self._owned)
             if not above.any():

@@ -5,7 +5,7 @@ A quadrilateral is four triangles around its middle, so that mirror images of su
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,6 +20,44 @@ OPPOSITE = ((1, 2), (2, 0), (0, 1))
 """Corners of the edges of a triangle, by the corner opposite."""
 COLLAPSED = 1e-8
 """Length of an edge at rest, relative to the longest one, up to which its ends are one place."""
+
+
+class Around(NamedTuple):
+    """Which corners of triangles belong to each of some things.
+
+    Attributes:
+        corners: their numbers, three times that of the triangle and the corner, those of the first thing first.
+        starts: where those of each begin, and their number.
+    """
+
+    corners: IntArray
+    starts: IntArray
+
+    @classmethod
+    def of(cls, at: IntArray) -> "Around":
+        """By the number of the thing at every corner, shape (triangles, 3)."""
+        starts = np.append(0, np.cumsum(np.bincount(at.ravel())))
+        return cls(np.argsort(at.ravel(), kind="stable"), starts)
+
+    def __call__(self, wanted: IntArray) -> tuple[IntArray, IntArray]:
+        """Those of some things, and to which of these each belongs."""
+        first, count = self.starts[wanted], self.starts[wanted + 1] - self.starts[wanted]
+        of = np.repeat(np.arange(len(wanted)), count)
+        return self.corners[np.arange(len(of)) + (first - np.cumsum(count) + count)[of]], of
+
+
+class Ending(NamedTuple):
+    """Edges at which a surface ends.
+
+    Attributes:
+        triangle: to which of the triangles each belongs, shape (n,).
+        corner: which corner of that is opposite, likewise.
+        order: in which those are together that are close to each other at rest; None: it is not known.
+    """
+
+    triangle: IntArray
+    corner: IntArray
+    order: IntArray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +170,38 @@ class Net:
         numbers, attached = (np.sort(pairs, axis=1) @ [size, 1] for pairs in (self.edge_places, self.attached))
         return self.ends & ~np.isin(numbers, attached)
 
+    @cached_property
+    def around_edges(self) -> Around:
+        """Corners of triangles opposite every edge."""
+        return Around.of(self.edges)
+
+    @cached_property
+    def around_places(self) -> Around:
+        """Corners of triangles at every place."""
+        return Around.of(self.corners)
+
+    @cached_property
+    def at_ends(self) -> Ending:
+        """Where the surface ends."""
+        return self._ending(self.ends)
+
+    @cached_property
+    def at_free(self) -> Ending:
+        """Where it ends and is not attached."""
+        return self._ending(self.free)
+
+    def _ending(self, edges: Any) -> Ending:
+        triangle, corner = np.nonzero(edges[self.edges])
+        if self.rest is None:
+            return Ending(triangle, corner, None)
+        ends = self.triangles[triangle[:, None], np.array(OPPOSITE)[corner]]
+        return Ending(triangle, corner, neighbouring((self.functions @ self.rest)[ends].mean(axis=1)))
+
     def at_corners(self, edges: Any) -> Any:
         """Mask of the places at ends of some edges, by a mask of these, shape (places,)."""
         there = np.zeros(int(self.corners.max(initial=-1)) + 1, dtype=bool)
         there[self.edge_places[edges]] = True
         return there
-
-    def ending(self, edges: Any) -> tuple[IntArray, IntArray]:
-        """Triangles of some edges at which the surface ends, and the corners of these that are opposite."""
-        triangle, corner = np.nonzero(edges[self.edges])
-        return triangle, corner
 
     @cached_property
     def sheet(self) -> IntArray:

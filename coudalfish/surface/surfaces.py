@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from coudalfish.surface.boxes import CORNER, EDGE, Boxes, NearPlaces
 from coudalfish.surface.interface import Sought
-from coudalfish.surface.net import OPPOSITE, Net
+from coudalfish.surface.net import OPPOSITE, Ending, Net
 from coudalfish.surface.triangles import Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
@@ -65,14 +65,13 @@ class Surfaces:
         triangles, result = self.triangles, self.triangles.normals[triangle]
         for first, at in ((EDGE, self.net.edges), (CORNER, self.net.corners)):
             there = np.flatnonzero((kind >= first) & (kind < first + 3))
-            wanted = at[triangle[there], kind[there] - first]
-            is_wanted = np.zeros(int(at.max(initial=-1)) + 1, dtype=bool)
-            is_wanted[wanted] = True
-            k, corner = np.nonzero(is_wanted[at])
+            wanted, place = np.unique(at[triangle[there], kind[there] - first], return_inverse=True)
+            around, of = (self.net.around_edges if first == EDGE else self.net.around_places)(wanted)
+            k, corner = np.divmod(around, 3)
             values = triangles.normals[k]
             if first == CORNER:
                 values = triangles.angles(k, corner)[:, None] * values
-            sums = [np.bincount(at[k, corner], column, len(is_wanted))[wanted] for column in values.T]
+            sums = [np.bincount(of, column, len(wanted))[place] for column in values.T]
             result[there] = np.stack(sums, axis=1)
         return np.asarray(result / np.maximum(np.linalg.norm(result, axis=1)[:, None], np.finfo(float).tiny))
 
@@ -127,13 +126,15 @@ class Surfaces:
         if not len(start) or not len(self.net.triangles):
             return result
         result[self._boxes.pierced(start, end)[0]] = True
-        a, b, away = self._at_ends(self.net.ends)
+        ends = self.net.at_ends
+        a, b, away = self._at_ends(ends)
         if not len(a):
             return result
         reach = np.broadcast_to(reach, len(start))
         c, d = b + reach.max() * away, a + reach.max() * away
         beyond = Triangles(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
-        line, k = Boxes.of(beyond).pierced(start, end)
+        order = None if ends.order is None else np.stack([ends.order, ends.order + len(a)], axis=1).ravel()
+        line, k = Boxes.of(beyond, 1, order).pierced(start, end)
         from_edge, height = (
             [np.einsum("li,li->l", x[line] - a[k % len(a)], way) for x in (start, end)]
             for way in (away[k % len(a)], beyond.normals[k])
@@ -143,9 +144,9 @@ class Surfaces:
         result[line[(1.0 - t) * from_edge[0] + t * from_edge[1] <= reach[line]]] = True
         return result
 
-    def _at_ends(self, edges: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _at_ends(self, edges: Ending) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Both ends of some edges at which surfaces end, and the directions away from these, shape (edges, 3)."""
-        triangle, corner = self.net.ending(edges)
+        triangle, corner, _ = edges
         first, last = np.array(OPPOSITE)[corner].T
         a, b = self.triangles.x[triangle, first], self.triangles.x[triangle, last]
         away = np.cross(b - a, self.triangles.normals[triangle])
@@ -176,8 +177,8 @@ class Surfaces:
     @cached_property
     def _free(self) -> Boxes:
         """The edges at which surfaces end freely, as triangles without areas."""
-        a, b, _ = self._at_ends(self.net.free)
-        return Boxes.around(np.stack([a, b, b], axis=1))
+        a, b, _ = self._at_ends(self.net.at_free)
+        return Boxes.around(np.stack([a, b, b], axis=1), 1, self.net.at_free.order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,11 +313,15 @@ class NearestOnSurfaces:
         Returns:
             Shape (m, k), zero where a point is farther.
         """
+        return self.of_corners(self.surfaces.net.functions @ of_points)
+
+    def of_corners(self, values: FloatArray) -> FloatArray:
+        """The same of values at the corners of the triangles, shape (corners, k)."""
         (net, places), k = (self.surfaces.net, self.places), np.flatnonzero(self._beyond)
         inner, corners = places.barycentric, self.surfaces.triangles
         x = np.einsum("pc,pci->pi", inner[k], corners.x[places.triangle[k]]) + places.gap[k]
         inner[k] = corners.in_plane(x, places.triangle[k])
-        each = np.einsum("pc,pck->pk", inner, (net.functions @ of_points)[net.triangles[places.triangle]])
+        each = np.einsum("pc,pck->pk", inner, values[net.triangles[places.triangle]])
         sums = np.stack([np.bincount(places.point, column, self.count) for column in each.T], axis=1)
         return sums / np.maximum(np.bincount(places.point, minlength=self.count), 1)[:, None]
 
