@@ -6,7 +6,9 @@ from mpi4py import MPI
 from test_converged import in_flow
 
 from coudalfish import CouplingOptions
-from coudalfish.step.linearised import WEAK, Preconditioner
+from coudalfish.step.linearised import WEAK
+from coudalfish.step.nodal import TraceNodes
+from coudalfish.step.preconditioner import Preconditioner
 from coudalfish.step.seen import Seen
 
 COMM = MPI.COMM_WORLD
@@ -39,8 +41,7 @@ def test_products_are_those_of_all_points(options):
     near(nodal, on_nodes(at.W * at.beta * (v - w)) - at.free * (at.part @ a))
     rows = total(at.beta * at.fluid.timeInt.x_factor * (at.F.T @ a.ravel()))
     rows -= at.beta * (G.T @ w) + WEAK * (at.H.T @ pushed)
-    if COMM.rank == 0:
-        np.testing.assert_allclose(slip, rows, rtol=0.0, atol=1e-11 * np.abs(rows).max())
+    np.testing.assert_allclose(slip, rows, rtol=0.0, atol=1e-11 * np.abs(rows).max())
     bent = system.preconditioner.bent
     near(seen.to_nodes(seen.drag(bent[seen.columns] @ b), b), on_nodes(at.beta * at.a_s * at.W * (at.P @ (bent @ b))))
 
@@ -73,3 +74,24 @@ def test_the_multipliers_own_matrix_is_that_of_one_rank(options):
     S[at.idle, at.idle] = S.diagonal().max()
     r = np.random.default_rng(5).standard_normal(m)
     np.testing.assert_allclose(S @ made.multiplier(r, at.beta) * -at.beta, r, rtol=0.0, atol=1e-6)
+
+
+def test_values_at_the_traces_nodes_are_those_of_the_whole_vector():
+    """Whichever rank they belong to; what ranks add there is summed."""
+    scene = in_flow(CouplingOptions.converged())
+    scene.fsi.takeStep()
+    at = scene.fsi.attempts[0].method.system.at
+    system, nodes = at.fluid.system, TraceNodes(at)
+    flow, expected = system.b.duplicate(), system.b.duplicate()
+    first, _ = flow.getOwnershipRange()
+    flow.array_w[:] = np.cos(first + np.arange(flow.getLocalSize()))
+    np.testing.assert_array_equal(nodes.of(flow), at.free * system.to_local(flow)[at.dofs])
+    nodal = at.free * (1.0 + COMM.rank + np.sin(at.fluid.names(at.trace.nodes))[:, None])
+    local = np.zeros(system.local_size)
+    local[at.dofs] = nodal
+    system.from_local(local, expected)
+    expected.axpy(1.0, flow)
+    nodes.add(nodal, flow)
+    np.testing.assert_allclose(flow.array_r, expected.array_r, rtol=0.0, atol=1e-14)
+    for vector in (flow, expected):
+        vector.destroy()

@@ -226,26 +226,21 @@ class Step:
     @property
     def forces(self) -> FloatArray:
         """Fluid on shell at the points."""
-        turned = self.multiplier.turned
-        return self._traced if turned is None else self._traced + turned.at_points
+        turned, (forces, _) = self.multiplier.turned, self._traced
+        return forces if turned is None else forces + turned.at_points
 
     @property
-    def _traced(self) -> FloatArray:
-        """Those of them that act on the fluid by the trace."""
+    def _traced(self) -> tuple[FloatArray, FloatArray | float]:
+        """Those of them that act on the fluid by the trace, and this rank's share of others at the trace's nodes."""
         lam, turned = self.multiplier.acting, self.multiplier.turned
         if turned is None:
-            return exchange.point_forces(self.u, self.y_dot, lam, self.n, self.W, penalty=self.beta)
-        return self.beta * self.W[:, None] * (self.u - self.y_dot)
-
-    @property
-    def _beside(self) -> FloatArray | float:
-        """Fluid on shell at the trace's nodes, beside what :attr:`_traced` do there; this rank's share."""
-        turned = self.multiplier.turned
-        return 0.0 if turned is None else turned.at_nodes
+            return exchange.point_forces(self.u, self.y_dot, lam, self.n, self.W, penalty=self.beta), 0.0
+        return self.beta * self.W[:, None] * (self.u - self.y_dot), turned.at_nodes
 
     def _fluid_residual(self) -> float:
         self.block = "fluid"
-        return self._finite(self.fluid.assemble_residual(self.trace, self._traced, self.beta, self._beside))
+        forces, beside = self._traced
+        return self._finite(self.fluid.assemble_residual(self.trace, forces, self.beta, beside))
 
     def shell_residual(self) -> float:
         """Residual of the shell under the present forces (collective), assembled unless it is."""
@@ -290,8 +285,7 @@ class Step:
 
     def _accepted(self, norm_f: float, norm_s: float) -> bool:
         self.block = "coupling"
-        on_fluid = self.fluid.coupling_norm(self.trace, self._traced, self._beside)
-        coupling = on_fluid, self.shell.coupling_norm(self.forces)
+        coupling = self.fluid.coupling_norm(self.trace, *self._traced), self.shell.coupling_norm(self.forces)
         small = self.acceptance.test((norm_f, norm_s), ranks.first(self.comm, coupling), self._floors)
         return small and self.multiplier.satisfied(self)
 
@@ -309,8 +303,9 @@ class Step:
 
     def _finish(self) -> Outcome:
         u, y_dot, n, W, r = self.u, self.y_dot, self.n, self.W, self.options.relaxation
-        held = W[:, None] * exchange.tractions(self.multiplier.whole - self.multiplier.acting, n)
-        forces, on_fluid = self.forces + held, self.fluid.received(self.trace, self._traced + held, self._beside)
+        (traced, beside), only_held = self._traced, self.multiplier.whole - self.multiplier.acting
+        held = W[:, None] * exchange.tractions(only_held, n)
+        forces, on_fluid = self.forces + held, self.fluid.received(self.trace, traced + held, beside)
         lam = self.multiplier.updated(u, y_dot, n, penalty=self.beta, relaxation=r)
         lam = exchange.tractions(lam, n) if self.lam.ndim == 2 else lam
         ranks.share(self.comm, lam)
@@ -326,9 +321,8 @@ class Step:
         if self.shell.contact is None:
             return None
         closing, found = self.shell.closing_ratio(), self.shell.touching
-        if found is None:
-            return ContactReport(0, 0.0, 0.0, math.inf, closing)
-        return ContactReport(found.pairs, found.load, found.energy, found.distance, closing)
+        state = (0, 0.0, 0.0, math.inf) if found is None else (found.pairs, found.load, found.energy, found.distance)
+        return ContactReport(*state, closing)
 
     def report(self, monitors: Monitors | None, contact: ContactReport | None = None) -> StepReport:
         """What has been done so far."""

@@ -24,9 +24,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from coudalfish.sides.fluid import FluidSubproblem
-from coudalfish.step.linearised import Linearised, Preconditioner
+from coudalfish.step.linearised import Linearised
+from coudalfish.step.nodal import TraceNodes
+from coudalfish.step.preconditioner import Preconditioner
 from coudalfish.step.seen import Seen
-from tigar_x import compat
+from tigar_x import compat, ranks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import SolveError, keep_orthogonal
 
@@ -43,7 +45,8 @@ ITERATIONS = 200
 class CondensedSystem:
     """The system as PETSc's matrix and preconditioner, and its solution by GMRES.
 
-    The unknowns of a rank are its dofs of the flow and, on the first one, the multiplier's.
+    The unknowns of a rank are its dofs of the flow and all of the multiplier's, divided by the square root of the
+    number of ranks: products of vectors are then those of one rank, and no rank has to tell the others.
 
     Args:
         fluid: the flow.
@@ -61,10 +64,9 @@ class CondensedSystem:
 
     def __init__(self, fluid: FluidSubproblem, functions: int) -> None:
         self._comm, b = fluid.comm, fluid.system.b
-        self._n, self._own = b.getLocalSize(), functions if self._comm.rank == 0 else 0
-        self._functions = functions
-        sizes = self._n + self._own, b.getSize() + functions
-        self._flow, self.increment = b.duplicate(), b.duplicate()
+        self._n, self._functions, self._copies = b.getLocalSize(), functions, float(np.sqrt(self._comm.size))
+        sizes = self._n + functions, b.getSize() + self._comm.size * functions
+        self.increment = b.duplicate()
         self._given, self._result = fluid.system.A.createVecs()  # of parts of the unknowns, which are not copied
         self._A = PETSc.Mat().createPython((sizes, sizes), _Product(self), comm=b.comm)
         self._A.setUp()
@@ -79,7 +81,7 @@ class CondensedSystem:
         pc.setType("python")
         pc.setPythonContext(_Triangle(self))
         keep_orthogonal(self._ksp)
-        vectors = (self._flow, self.increment, self._given, self._result, self._rhs, self._x)
+        vectors = (self.increment, self._given, self._result, self._rhs, self._x)
         compat.freed_with(self, *vectors, pc, self._ksp, self._A)
         self.iterations = 0
 
@@ -106,12 +108,12 @@ class CondensedSystem:
         self._force = at.fluid.as_forces(at.beta)
         self._bent = self.preconditioner.bent[self.seen.columns]
         nodal, slip = self.seen.moved(at.solve_shell(r_s))
-        rhs = self._rhs.array_w
+        self._nodes, rhs = TraceNodes(at), self._rhs.array_w
         rhs[: self._n] = b_f.array_r
-        self._add(nodal, rhs[: self._n])
+        with placed(self._result, rhs[: self._n]) as result:
+            self._nodes.add(nodal, result)
         rhs[: self._n] *= self._force
-        if self._own:
-            rhs[self._n :] = np.where(at.idle, 0.0, at.beta * r_c + slip)
+        rhs[self._n :] = np.where(at.idle, 0.0, at.beta * r_c + slip) / self._copies
         del rhs  # PETSc keeps norms of vectors that nobody writes to
         norm = float(self._rhs.norm())
         if norm == 0.0:
@@ -132,29 +134,9 @@ class CondensedSystem:
             raise SolveError(f"GMRES of flow and multiplier failed after {self.iterations} iterations ({reason})")
         x = self._x.array_r
         self.increment.array_w[:] = x[: self._n]
-        c = x[self._n :].copy() if self._own else np.empty(self._functions)
-        if self._comm.size > 1:
-            self._comm.Bcast(c)
+        c = self._copies * x[self._n :]
+        ranks.share(self._comm, c)
         return norm, c
-
-    def _at_nodes(self, values: FloatArray) -> FloatArray:
-        """Velocities at the trace's nodes, out of this rank's entries of the flow, shape (nodes, d) (collective)."""
-        at = self.at
-        if self._comm.size == 1:
-            return np.asarray(at.free * values[at.entries])
-        self._flow.array_w[:] = values
-        return np.asarray(at.free * at.fluid.system.to_local(self._flow)[at.dofs])
-
-    def _add(self, nodal: FloatArray, values: FloatArray) -> None:
-        """Add the ranks' shares of what acts on the trace's nodes to this rank's entries of the flow (collective)."""
-        at = self.at
-        if self._comm.size == 1:
-            values[at.entries[at.known]] += nodal[at.known]
-            return
-        share = np.zeros(at.fluid.system.local_size)
-        share[at.dofs] = nodal
-        at.fluid.system.from_local(share, self._flow)
-        values += self._flow.array_r
 
     @property
     def at(self) -> Linearised:
@@ -166,30 +148,24 @@ class CondensedSystem:
     def multiply(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The product with the matrix (collective)."""
         at, given, product = self.at, x.array_r, y.array_w
+        b = self._copies * given[self._n :]
         with placed(self._given, given[: self._n]) as flow, placed(self._result, product[: self._n]) as result:
             at.fluid.system.multiply(flow, result)
-        b = given[self._n :].copy() if self._own else np.empty(self._functions)
-        nodal, slip = self.seen.product(self._at_nodes(given[: self._n]), b)
-        self._add(nodal, product[: self._n])
+            nodal, slip = self.seen.product(self._nodes.of(flow), b)
+            self._nodes.add(nodal, result)
         product[: self._n] *= self._force
-        if self._own:
-            product[self._n :] = np.where(at.idle, b, slip)
+        product[self._n :] = np.where(at.idle, b, slip) / self._copies
 
     def precondition(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """The upper triangular part, solved (collective)."""
         at, given, increment = self.at, x.array_r, y.array_w
-        r = given[self._n :].copy() if self._own else np.empty(self._functions)
-        if self._comm.size > 1:
-            self._comm.Bcast(r)
+        r = self._copies * given[self._n :]
         b = self.preconditioner.multiplier(r, at.beta)
-        nodal = self.seen.to_nodes(self.seen.drag(self._bent @ b), -b)
-        rest = self.increment.array_w
-        rest[:] = given[: self._n] / self._force
-        self._add(nodal, rest)
+        self.increment.array_w[:] = given[: self._n] / self._force
+        self._nodes.add(self.seen.to_nodes(self.seen.drag(self._bent @ b), -b), self.increment)
         with placed(self._result, increment[: self._n]) as result:
             self.preconditioner.fluid.apply(self.increment, result)
-        if self._own:
-            increment[self._n :] = np.where(at.idle, r, b)
+        increment[self._n :] = np.where(at.idle, r, b) / self._copies
 
 
 @contextmanager

@@ -10,9 +10,10 @@ from coudalfish.sides.fluid import FluidSubproblem
 from coudalfish.sides.shell import ShellSubproblem
 from coudalfish.step.condensed import CondensedSystem
 from coudalfish.step.functions import Acting, Functions
-from coudalfish.step.linearised import Linearised, Preconditioner
+from coudalfish.step.linearised import Linearised
 from coudalfish.step.method import Stepping, Turned
 from coudalfish.step.options import CouplingOptions
+from coudalfish.step.preconditioner import Preconditioner
 from coudalfish.step.seen import Seen
 from coudalfish.surface.multiplier import held_points
 from tigar_x import ranks

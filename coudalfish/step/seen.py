@@ -6,6 +6,7 @@ that more than one of them sees.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from coudalfish.step.linearised import WEAK, Linearised
+from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
 
@@ -62,35 +64,40 @@ class Seen:
         places = place.ravel()[rows]
         common = np.flatnonzero(places >= 0)
         P = at.P[rows]
-        columns = np.unique(P.indices)
+        moves = np.zeros(P.shape[1], dtype=bool)
+        moves[P.indices] = True
+        columns = np.flatnonzero(moves)
         of_points = P[:, columns], at.G[rows], at.H[rows], at.W[rows]
         return cls(at, common, places[common], d * len(several), B[points], columns, *of_points)
+
+    @cached_property
+    def transposed(self) -> tuple[Any, Any, Any, Any]:
+        """Of B, P, G and H, which are asked for in every product."""
+        return self.B.T.tocsr(), self.P.T, self.G.T, self.H.T
 
     def product(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The product's part of coupling, see :mod:`coudalfish.step.condensed` (collective).
 
         Args:
             a: velocities at the trace's nodes, shape (nodes, d).
-            b: coefficients of the multiplier, shape (functions,); those of the first rank count.
+            b: coefficients of the multiplier, the same on every rank, shape (functions,).
 
         Returns:
-            Forces on the trace's nodes, this rank's share, shape (nodes, d), and beta times the rows of the multiplier,
-            on the first rank.
+            Forces on the trace's nodes, this rank's share, shape (nodes, d), and beta times the rows of the multiplier.
         """
         at, comm, a_f = self.at, self.at.fluid.comm, self.at.fluid.timeInt.x_factor
-        if comm.size > 1:
-            comm.Bcast(b)
+        _, P_t, G_t, H_t = self.transposed
         v, pushed = (a_f * (self.B @ a)).ravel(), self.G @ b
         sums = np.zeros(self.shared + at.P.shape[1])
         sums[self.places], load = v[self.common], sums[self.shared :]
-        load[self.columns] = self.P.T @ (self.W * at.beta * v + pushed)
+        load[self.columns] = P_t @ (self.W * at.beta * v + pushed)
         if comm.size > 1:
             comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
         w = at.a_s * (self.P @ at.solve_shell(load)[self.columns])
-        slip = at.beta * (a_f * (at.F_t @ a.ravel()) - self.G.T @ w) - WEAK * (self.H.T @ pushed)
+        slip = at.beta * (a_f * (at.F_t @ a.ravel()) - G_t @ w) - WEAK * (H_t @ pushed)
         v[self.common] = sums[self.places]
         nodal = self.to_nodes(self.W * at.beta * (v - w), b) - at.free * (at.part @ a)
-        return nodal, self._on_first(slip)
+        return nodal, ranks.total(comm, slip)
 
     def moved(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same of an increment of the shell (collective).
@@ -103,15 +110,7 @@ class Seen:
         """
         at = self.at
         w = at.a_s * (self.P @ y[self.columns])
-        return self.to_nodes(at.beta * self.W * w), self._on_first(at.beta * (self.G.T @ w))
-
-    def _on_first(self, share: FloatArray) -> FloatArray:
-        """Sums over the ranks, on the first one (collective)."""
-        if self.at.fluid.comm.size == 1:
-            return share
-        total = np.empty_like(share)
-        self.at.fluid.comm.Reduce(share, total, op=MPI.SUM)
-        return total
+        return self.to_nodes(at.beta * self.W * w), ranks.total(at.fluid.comm, at.beta * (self.G.T @ w))
 
     def drag(self, y: FloatArray) -> FloatArray:
         """Forces of the penalty at the points where these coefficients move the shell, or columns of them do."""
@@ -125,7 +124,7 @@ class Seen:
             forces: at the points, those of the multiplier's functions apart, shape (n,).
             b: coefficients of these, shape (functions,); None: zero.
         """
-        nodal = self.B.T @ forces.reshape(-1, self.at.dofs.shape[1])
+        nodal = self.transposed[0] @ forces.reshape(-1, self.at.dofs.shape[1])
         if b is not None:
             nodal += (self.at.F @ b).reshape(nodal.shape)
         return np.asarray(self.at.free * nodal)
