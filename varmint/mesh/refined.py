@@ -84,9 +84,10 @@ def bisected(arrays: MeshArrays, sizes: Sizes) -> MeshArrays:
     group = np.zeros(len(cells), dtype=np.int64)
     for number, name in enumerate(groups, start=1):
         group[arrays.cell_groups[name]] = number
+    wanted = _checked(sizes(x[cells]), len(cells))
     for _ in range(ROUNDS):
         edges = _Edges.of(cells, x)
-        marked = edges.too_long(_checked(sizes(x[cells]), len(cells)))
+        marked = edges.too_long(wanted)
         if not marked.any():
             break
         edges.close(marked)
@@ -94,6 +95,8 @@ def bisected(arrays: MeshArrays, sizes: Sizes) -> MeshArrays:
         cells, parent = edges.cut(cells, middle)
         facets = [edges.cut(rows, middle)[0] for rows in facets]
         group, x = group[parent], np.concatenate([x, x[edges.ends[marked]].mean(axis=1)])
+        wanted, is_new = wanted[parent], np.bincount(parent)[parent] > 1
+        wanted[is_new] = _checked(sizes(x[cells[is_new]]), int(is_new.sum()))
     else:
         raise ValueError(f"sizes: cells have been halved {ROUNDS} times and are too large: larger sizes are required")
     chosen = {name: np.flatnonzero(group == number) for number, name in enumerate(groups, start=1)}
