@@ -29,8 +29,12 @@ from tigar_x.compat import FloatArray
 from tigar_x.ranks import first, gathered
 
 SizesOfCells = Callable[[FloatArray], FloatArray]
-LEAVES = 0.5
-"""Part of the band's reach by which the shell may come away from where it was expected before the mesh is made anew."""
+LEAVES = 0.8
+"""Part of the band's reach by which the next step may take the shell away from where it was expected."""
+
+
+NAMES = np.array([1.0, 0.6180339887, 0.4142135624])
+"""What makes one number of a corner's coordinates, by which cells that share it know it."""
 
 
 class Meshes(Protocol):
@@ -68,9 +72,15 @@ class Band:
         tree = cKDTree(x)
 
         def sizes(corners: FloatArray) -> FloatArray:
-            middle = corners.mean(axis=1)
-            radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-            beyond = np.maximum(tree.query(middle)[0] - radius - self.reach * self.size, 0.0)
+            # from each corner to where the shell is nearest, and how far the cell goes in that direction
+            places = corners.reshape(-1, corners.shape[-1])
+            _, one, corner = np.unique(places @ NAMES[: corners.shape[-1]], return_index=True, return_inverse=True)
+            away, nearest = tree.query(places[one])
+            towards = (x[nearest] - places[one]) / np.maximum(away, np.finfo(float).tiny)[:, None]
+            corner = corner.reshape(corners.shape[:2])
+            extent = np.einsum("cid,cjd->cij", towards[corner], corners)
+            beyond = away[corner] - extent.max(axis=2) + np.einsum("cii->ci", extent)
+            beyond = np.maximum(beyond.min(axis=1) - self.reach * self.size, 0.0)
             return np.asarray(self.size + self.growth * beyond)
 
         return sizes
@@ -88,6 +98,7 @@ class FollowingBand:
         ahead: for how many steps the shell moves within the small cells at its present velocity.
         options: of the coupling, see there.
         multiplier: see there.
+        expected: points around which the first mesh is made, as a run that goes on had them; None: those of the shell.
 
     Attributes:
         fsi: what is coupled; its flow is another one after :meth:`follow`.
@@ -105,11 +116,12 @@ class FollowingBand:
         ahead: int = 20,
         options: CouplingOptions | None = None,
         multiplier: float | FloatArray = 0.0,
+        expected: FloatArray | None = None,
     ) -> None:
         checks.having("meshes", meshes, "mesh", "what makes meshes, such as Refinement(base),")
         checks.kind("band", band, Band, "a Band")
         self._meshes, self._make, self.band, self.ahead = meshes, make_flow, band, checks.whole("ahead", ahead, 1)
-        self.flow, side = self._side(_points(shell))
+        self.flow, side = self._side(_points(shell) if expected is None else expected)
         self.fsi, self.number = CouDALFISh(side, shell, options, multiplier=multiplier), 1
 
     def _side(self, x: FloatArray) -> tuple[ImmersedFlow, FluidSubproblem]:
@@ -123,14 +135,19 @@ class FollowingBand:
         size = first(mesh.domain.comm, None if near is None else float(np.median(near)))
         return flow, fluid_side(flow, mesh_size=size)
 
+    @property
+    def expected(self) -> FloatArray:
+        """Points around which the present mesh was made, shape (points, d); unit: length."""
+        return np.asarray(self._expected.data)
+
     def follow(self) -> bool:
         """Make the mesh anew if the shell is about to leave the small cells (collective); whether it was made.
 
         What fails leaves everything as it was.
         """
         shell, comm = self.fsi.shell, self.fsi.fluid.comm
-        away = first(comm, float(self._expected.query(shell.positions())[0].max()))
-        if away <= LEAVES * self.band.reach * self.band.size:
+        then = shell.positions() + self.fsi.step_size * shell.velocity()
+        if first(comm, float(self._expected.query(then)[0].max())) <= self._allowed:
             return False
         expected = self._expected
         try:
@@ -142,11 +159,16 @@ class FollowingBand:
         self.flow, self.number = flow, self.number + 1
         return True
 
+    @property
+    def _allowed(self) -> float:
+        """How far the shell may come away from where it was expected."""
+        return LEAVES * self.band.reach * self.band.size
+
     def _swept(self) -> FloatArray:
         """Where the points of the shell are and will be."""
         x, v = self.fsi.shell.positions(), self.fsi.shell.velocity()
         time = self.ahead * self.fsi.step_size
-        count = 1 + int(np.ceil(float(np.linalg.norm(v, axis=1).max()) * time / self.band.size))
+        count = 1 + int(np.ceil(float(np.linalg.norm(v, axis=1).max()) * time / self._allowed))
         return np.concatenate([x + t * v for t in np.linspace(0.0, time, count + 1)])
 
     def series(self, make: Callable[[Any, int], Callable[..., Any]]) -> "ChangingSeries":

@@ -7,17 +7,20 @@ import pytest
 from mpi4py import MPI
 from dome import sheet
 from mpi_runs import SAME_RUN
+from scipy.spatial import cKDTree
 from test_repeated_steps import changed
 
 from coudalfish import CouDALFISh, CouplingOptions, StepError
 from coudalfish.problems import manufactured as problem
 from coudalfish.refinement import Band, FollowingBand
+from coudalfish.restart import CoupledState
 from coudalfish.sides.transfer import PointsElsewhere
 from shnapr import Shell, StVenantKirchhoff
 from tigar_x import compat, direct, generalized_alpha, script
 from tigar_x.compat import forms
 from tigar_x.fem.linear import SolveError
 from tigar_x.ranks import gathered
+from tigar_x.run.restart import Restart
 from varmint import Flow, FlowOptions, Measured, Slip, Traction, WeakVelocity, box, movie, squared_divergence
 from varmint.mesh.refined import Refinement
 
@@ -102,13 +105,17 @@ def test_points_of_other_ranks_have_the_values_of_the_mesh():
         PointsElsewhere(mesh.domain, x + 0.5)
 
 
-def followed(kind, *, level=3, base=1, ahead=4, **more):
+def followed(kind, *, level=3, base=1, ahead=4, band=None, **more):
     """Membrane in a band of cells as small as those of a level."""
     size = 2**0.5 * DATA.L / problem.cells_per_side(level) * (1 + 1e-6)
     shell = problem.membrane(DATA, 2, 32)
     options = {"options": OPTIONS[kind], "multiplier": DATA.DP, "ahead": ahead} | more
     return FollowingBand(
-        Refinement(square(base)), partial(membrane_flow, kind), shell, Band(size, growth=1.0), **options
+        Refinement(square(base)),
+        partial(membrane_flow, kind),
+        shell,
+        Band(size, **{"growth": 1.0} | (band or {})),
+        **options,
     )
 
 
@@ -164,6 +171,49 @@ def test_a_step_that_fails_after_a_change_restores_the_state_on_the_new_mesh():
     for found, expected in zip(values(fsi), before, strict=True):
         assert np.array_equal(found, expected)
     fsi.takeStep()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["plain", "jump and kink"])
+def test_a_run_goes_on_from_a_checkpoint_on_a_mesh_that_was_made_anew(kind, tmp_path):
+    """On the mesh around the same points, wherever the shell has come since."""
+    whole = followed(kind, ahead=2)
+    folder = MPI.COMM_WORLD.bcast(tmp_path)
+    while whole.number < 2:
+        whole.fsi.takeStep()
+        whole.follow()
+    whole.fsi.takeStep()
+    Restart(folder, CoupledState(whole.fsi)).write()
+    resumed = followed(kind, ahead=2, expected=whole.expected)
+    Restart(folder, CoupledState(resumed.fsi)).read()
+    for found, expected in zip(values(resumed.fsi), values(whole.fsi), strict=True):
+        assert np.abs(found - expected).max() <= 1e-12 * max(1.0, np.abs(expected).max())
+    for following in (whole, resumed):
+        following.fsi.takeStep()
+        following.follow()
+    for found, expected in zip(values(resumed.fsi), values(whole.fsi), strict=True):
+        assert np.abs(found - expected).max() <= max(1e-8, SAME_RUN) * max(1.0, np.abs(expected).max())
+
+
+def test_cells_are_small_where_the_shell_is_and_not_beside_it():
+    """The extent of a cell counts in the direction of the shell alone."""
+    sheet = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, 41)], [0.5]), axis=-1).reshape(-1, 3)
+    sizes = Band(0.1, reach=0.5, growth=1.0).around(sheet)
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.2]]) * 0.5 + [0.25, 0.25, 0.0]
+    for above, wanted in ((0.45, 0.1), (0.55, 0.1), (0.6, 0.15), (0.35, 0.1), (0.25, 0.2)):
+        assert sizes(np.add(corners, [0.0, 0.0, above])[None])[0] == pytest.approx(wanted, abs=0.005)
+
+
+@pytest.mark.parametrize("reach", [2.0, 0.3])
+def test_the_shell_moves_for_as_long_as_was_asked(reach):
+    """Through cells that are small on all of its way, however narrow the band is."""
+    following = followed("plain", ahead=6, band={"reach": reach})
+    following.fsi.takeStep()
+    while not following.follow():
+        following.fsi.takeStep()
+    shell, expected = following.fsi.shell, cKDTree(following.expected)
+    for time in np.linspace(0.0, 6 * following.fsi.step_size, 50):
+        assert expected.query(shell.positions() + time * shell.velocity())[0].max() < 0.5 * reach * following.band.size
 
 
 @pytest.mark.slow
