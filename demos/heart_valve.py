@@ -1,12 +1,9 @@
 """A heart valve of three leaflets that a pressure difference opens and, reversed, closes.
 
 The aorta is a cylinder of radius 1.1 with three spherical sinuses. The leaflets are bicubic surfaces, clamped along
-their posts and their attached edge: Kirchhoff-Love shells with nonlocal contact. At the inlet acts a traction of 2e4
-dyn/cm^2, from t = 0.1 on one of -1e5: the valve opens, a jet forms, the flow is reversed, the valve closes abruptly,
-and the flow rings around a small leak. Centimetres, grams, seconds.
-
-Source: D. Kamensky, "Open-source immersogeometric analysis of fluid-structure interaction using FEniCS and tIGAr",
-section 6, doi:10.1016/j.camwa.2020.01.023; `tigar_x.geometry.surfaces.leaflet` is in place of a file of leaflets.
+their posts and their attached edge: Kirchhoff-Love shells with nonlocal contact. At the inlet acts a traction of 2e4,
+from t = 0.1 on one of -1e5: the valve opens, and closes abruptly on a small leak. Centimetres, grams, seconds.
+Source: D. Kamensky, doi:10.1016/j.camwa.2020.01.023, section 6; the leaflets are :func:`tigar_x.surfaces.trileaflet`'s.
 """
 
 from dataclasses import dataclass
@@ -21,24 +18,21 @@ from coudalfish.valve_pictures import histories, leaflets_movie
 from coudalfish.valves import Leaflets, quantities
 from shnapr import ContactRecipe, Hyperelastic, LinearKernel, Shell, StVenantKirchhoff, lee_sacks
 from shnapr.stress import largest_principal, resultants
-from tigar_x import VTUSeries, checks, direct, disjoint, generalized_alpha, script, surfaces, two_level
-from tigar_x.run.pictures import Colours
+from tigar_x import Colours, VTUSeries, checks, direct, disjoint, generalized_alpha, script, surfaces, two_level
 from tigar_x.run.results import Results, with_results
 from tigar_x.splines.projection import Projected
-from varmint import Flow, FlowOptions, PointValues, Resistance, Traction, Velocity, aortic_root
-from varmint.flow.movie import movie
-from varmint.quantities import Measured, flow_rate
+from varmint import Flow, FlowOptions, Measured, PointValues, Resistance, Traction, Velocity, aortic_root, movie
+from varmint.quantities import flow_rate
 
 TOY = {"resolution": 6, "until": 2e-4, "frames": 4}
 SVK = StVenantKirchhoff(1e7, 0.4, thickness=0.04)
-# as published: at the posts leaflets start nearer than r_max, and there they touch freely
 CONTACT = ContactRecipe(LinearKernel(r_max=0.035, stiffness=1e11), r_self=0.045, neighbours="space")
 TENSION = Colours("largest membrane force", "dyn/cm", 0.0, 1.5e5)
 
 
 @dataclass(frozen=True)
 class Data:
-    """The problem's data."""
+    """The problem's data; as published, leaflets start nearer than r_max at the posts, where they touch freely."""
 
     rho: float = 1.0
     mu: float = 0.03
@@ -93,27 +87,33 @@ class Valve:
         checks.not_negative("outlet_resistance", self.outlet_resistance)
         vars(self).update(preset=self.preset or ("plain" if self.outlet_resistance else "jump"))
 
-    def build(self, data: Data, options: Any = None, solver: Any = None) -> tuple[Flow, Shell, CouDALFISh]:
-        """Blood and leaflets at rest, and both coupled by ``CouplingOptions``; the solver is that of the flow."""
-        size, R = 2.0 * data.radius / self.resolution, self.outlet_resistance
-        mesh = aortic_root(MPI.COMM_WORLD, size=self.grading * size, swept_size=size, radius=data.radius)
+    def flow(self, mesh: Any, data: Data, solver: Any = None) -> Flow:
+        """Blood at rest on a mesh of the aorta."""
         inlet = Traction("inlet", lambda x, t: ufl.as_vector([0.0, 0.0, pressure(self.waveform, t, data)]))
+        R, kinds = self.outlet_resistance, {"jump": ("jump", 0), "sharp": ("jump and kink", 0), "plain": ("plain", 1)}
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
-        kinds = {"jump": ("jump", 0), "sharp": ("jump and kink", 0), "plain": ("plain", 1), "reference": ("plain", 2)}
-        fields, fill = kinds[str(self.preset)]
+        fields, fill = kinds.get(str(self.preset), ("plain", 2))
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
         solver = solver or two_level(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
-        flow = Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
-        along = self.leaflet_elements or max(4, round(1.8 / size))
+        return Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
+
+    def leaflets(self, data: Data) -> Shell:
+        """Leaflets at rest."""
+        along = self.leaflet_elements or max(4, round(0.9 * self.resolution / data.radius))
         elements = along, max(1 if self.leaflet_elements else 3, round(0.8 * along))
         geometry = disjoint(*surfaces.trileaflet(radius=data.radius, elements=elements, degrees=(self.degree,) * 2))
         structure = {"density": data.rho_s, "clamped": ("post_0", "post_1", "attachment"), "contact": data.contact}
         pericardium = Hyperelastic(lee_sacks(676080.0, 132848.0, 38.1878), data.leaflet.thickness)  # bovine
         material = data.leaflet if self.material == "svk" else pericardium
-        leaflets = Shell(geometry, material, **structure, quadrature_degree=4)
-        presets = {"jump": CouplingOptions.converged(fluid_tangent="consistent"), "sharp": CouplingOptions.sharp()}
-        presets["reference"] = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2)
-        return flow, leaflets, CouDALFISh(flow, leaflets, options or presets.get(self.preset, CouplingOptions()))
+        return Shell(geometry, material, **structure, quadrature_degree=4)
+
+    def build(self, data: Data, options: Any = None, solver: Any = None) -> tuple[Flow, Shell, CouDALFISh]:
+        """Blood and leaflets at rest, and both coupled by ``CouplingOptions``; the solver is that of the flow."""
+        size = 2.0 * data.radius / self.resolution
+        mesh = aortic_root(MPI.COMM_WORLD, size=self.grading * size, swept_size=size, radius=data.radius)
+        flow, leaflets, published = self.flow(mesh, data, solver), self.leaflets(data), self.preset == "reference"
+        reference = CouplingOptions.reference(penalty=500.0, relaxation=1e-5, block_rtol=1e-2) if published else None
+        return flow, leaflets, CouDALFISh(flow, leaflets, options or reference)
 
 
 @with_results(checkpoint_every=500)

@@ -3,6 +3,7 @@
 import json
 import math
 
+import following_valve
 import numpy as np
 import pytest
 import ufl
@@ -17,6 +18,7 @@ from coudalfish import CouplingOptions
 from coudalfish.step.watch import CLOSING_LIMIT
 from tigar_x.geometry import surfaces
 from tigar_x.geometry.multipatch import disjoint
+from tigar_x.run.history import History
 from tigar_x.splines.quadrature import NodalQuadrature
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -100,6 +102,17 @@ def test_a_run_that_goes_on_is_the_same_as_one_that_does_not_end(tmp_path):
     assert parts["steps"] == whole["steps"] == 8
     one, other = (np.loadtxt(tmp_path / name / "history.csv", delimiter=",", skiprows=1) for name in ("whole", "parts"))
     np.testing.assert_allclose(other, one, rtol=1e-6, atol=1e-9)
+
+
+def test_a_valve_in_a_band_goes_on_from_its_checkpoint(tmp_path):
+    settings = {"size": 0.4, "base": 0.6, "leaflet_elements": 4, "dt": 1e-4, "checkpoint_every": 2}
+    following_valve.main(**settings, until=4e-4, out=tmp_path / "whole")
+    following_valve.main(**settings, until=2e-4, out=tmp_path / "parts")
+    following_valve.main(**settings, until=4e-4, restart=True, out=tmp_path / "parts")
+    whole, parts = (History.read(tmp_path / name) for name in ("whole", "parts"))
+    assert len(parts.t) == len(whole.t) == 4
+    for name in ("flow_rate", "opening_area", "cells"):
+        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-6)
 
 
 def test_two_ranks_give_the_same_history(tmp_path):

@@ -1,0 +1,152 @@
+"""A heart valve whose cells are small where its leaflets are: how it opens and closes, and what that costs.
+
+The demo's valve in a coarse mesh that is bisected around the leaflets, and anew as they move. A row a step goes into
+``history.csv``, and a run that was ended goes on from its last checkpoint.
+"""
+
+import json
+import logging
+import resource
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from load import load_demo
+
+from coudalfish import advance
+from coudalfish.refinement import Band, FollowingBand
+from coudalfish.restart import CoupledState
+from coudalfish.valves import Leaflets, quantities
+from tigar_x.run import script
+from tigar_x.run.history import FILE, History
+from tigar_x.run.output import CSVSeries
+from tigar_x.run.restart import Restart
+from varmint import aortic_root
+from varmint.mesh.refined import Refinement
+from varmint.quantities import Measured, flow_rate
+
+COLUMNS = (
+    *("flow_rate", "opening_area", "contact_pairs", "contact_load", "smallest_distance", "asymmetry", "leak", "passes"),
+    *("linear", "attempts", "slip", "cells", "cell_size", "meshes", "cpu_mesh", "cpu_s"),
+)
+EXPECTED = "expected.npy"
+"""Points around which the mesh of the last checkpoint was made."""
+
+
+class FollowedValve:
+    """The valve in its band of small cells.
+
+    Args:
+        scene: of the demo.
+        base: size of the cells elsewhere [cm].
+        band: of the small cells.
+        ahead: steps for which they are made.
+        expected: see :class:`coudalfish.refinement.FollowingBand`.
+    """
+
+    def __init__(self, scene: Any, base: float, band: Band, ahead: int, expected: Any = None) -> None:
+        demo = load_demo("heart_valve")
+        self.data = demo.Data()
+        meshes = Refinement(aortic_root(MPI.COMM_WORLD, size=base, radius=self.data.radius))
+        shell, make = scene.leaflets(self.data), partial(scene.flow, data=self.data)
+        known = {"ahead": ahead, "expected": expected}
+        self.following = FollowingBand(meshes, make, shell, band, **known)
+        self.leaflets, self.cpu_mesh, self.rate = Leaflets(shell), 0.0, self._rate()
+
+    def _rate(self) -> Measured:
+        return Measured(q=flow_rate(self.following.flow, "inlet"))
+
+    def step(self, dt: float) -> Any:
+        """Take a step, and then change the mesh where that is due; the row, and whether the mesh is another one."""
+        following, before = self.following, time.process_time()
+        reports = advance(following.fsi, dt)
+        after = time.process_time()
+        report, contact, least = reports[-1], reports[-1].contact, self.leaflets
+        nearest = min(contact.distance, following.fsi.contactContext_sh.kernel.r_max)
+        row = [-self.rate()["q"], least.opening(), contact.pairs, contact.load, nearest, least.asymmetry()]
+        row += [report.monitors.leak, *(sum(getattr(r, n) for r in reports) for n in ("passes", "linear_iterations"))]
+        row += [max(r.attempts for r in reports), report.slip_ratio]
+        row += [following.flow.mesh.size, following.fsi.fluid.mesh_size, following.number]
+        began = time.process_time()
+        changed = following.follow()
+        if changed:
+            self.rate = self._rate()
+        spent = time.process_time() - began
+        self.cpu_mesh += spent
+        return report.t, [*row, self.cpu_mesh, after - before + spent], changed
+
+
+def main(
+    size: float = 0.115,
+    base: float = 0.25,
+    reach: float = 0.3,
+    growth: float = 2.0,
+    ahead: int = 8,
+    leaflet_elements: int = 16,
+    preset: str = "jump",
+    dt: float = 2e-4,
+    until: float = 0.2,
+    checkpoint_every: int = 50,
+    restart: bool = False,
+    out: Path = Path("results/benchmarks/following_valve"),
+) -> None:
+    """Open and close the heart valve in a band of small cells.
+
+    Args:
+        size: length that edges of cells may have at the leaflets [cm].
+        base: size of the cells elsewhere [cm].
+        reach: how far from the leaflets cells are as small, in ``size``.
+        growth: of cells beyond, per distance.
+        ahead: steps for which the small cells are made.
+        leaflet_elements: of a leaflet from post to post.
+        preset: of the demo.
+        dt: time step [s].
+        until: end [s].
+        checkpoint_every: number of steps between checkpoints.
+        restart: go on from the last checkpoint.
+        out: folder of the results.
+    """
+    logging.getLogger().setLevel(logging.WARNING)
+    demo = load_demo("heart_valve")
+    scene = demo.Valve(dt=dt, preset=preset, leaflet_elements=leaflet_elements)
+    out.mkdir(parents=True, exist_ok=True)
+    expected = np.load(out / EXPECTED) if restart else None
+    valve = FollowedValve(scene, base, Band(size, reach=reach, growth=growth), ahead, expected)
+    following = valve.following
+
+    def keeps() -> Restart:
+        return Restart(out / "checkpoints", CoupledState(following.fsi))
+
+    kept, cpu = keeps(), 0.0
+    if restart:
+        kept.read()
+        cpu, valve.cpu_mesh = kept.extra["cpu_s"], kept.extra["cpu_mesh"]
+        following.number = kept.extra["meshes"]
+    with CSVSeries(out / FILE, COLUMNS, after=kept.after) as history:
+        for step in range(kept.step + 1, round(until / dt) + 1):
+            t, row, changed = valve.step(dt)
+            cpu += row[-1]
+            history.write(t, *row[:-1], cpu)
+            if changed:
+                kept = keeps()
+                kept.after = t
+            if step % checkpoint_every == 0:
+                kept.step, kept.extra = step, {"cpu_s": cpu, "cpu_mesh": valve.cpu_mesh, "meshes": following.number}
+                kept.write()
+                np.save(out / EXPECTED, following.expected)
+    past = History.read(out)
+    found = {name: quantity.value for name, quantity in quantities(past, valve.data.reversal).items()}
+    found |= {"cpu_s": cpu, "cpu_mesh": valve.cpu_mesh, "steps": len(past.t), "meshes": following.number}
+    found |= {"cells_mean": past["cells"].mean(), "cells_max": past["cells"].max()}
+    found |= {"cell_size": past["cell_size"].max(), "points": len(following.fsi.lam)}
+    found |= {"peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0}
+    text = json.dumps(found, indent=1)
+    (out / "summary.json").write_text(text)
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    script.command_line(main)
