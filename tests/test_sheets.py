@@ -179,6 +179,16 @@ def test_on_a_plane_sheet_smoothing_is_the_mean_over_vertices():
     np.testing.assert_allclose(SheetMeans(hats, W, n, sheets) @ lam, expected, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.mpi
+def test_ranks_that_share_the_vertices_smooth_as_one_does():
+    means, S, *_ = curved((0, 1, 0, 0))
+    shared = replace(means, comm=MPI.COMM_WORLD)
+    lam = np.random.default_rng(2).standard_normal(len(S))
+    np.testing.assert_allclose(shared @ lam, S @ lam, rtol=0.0, atol=1e-13)
+    if MPI.COMM_WORLD.size > 1:
+        assert shared._means.N.nnz < means._means.N.nnz
+
+
 # -- coupled steps ----------------------------------------------------------------------------------------------------
 
 TWO = np.array([((0.42, 0.25), (0.42, 0.75)), ((0.47, 0.25), (0.47, 0.75))])  # in one column of cells

@@ -32,7 +32,9 @@ class Lagged:
         means, sheets = step.vertex_functions if self._smoothed else None, step.shell.sheets
         held = held_points(step.comm, step.fluid.free, sheets, step.trace, step.n)
         of_points = {"held": held, "active": step.meeting.active, "weights": step.W}
-        return Multiplier(along_normals(step.lam, step.n), step.n, sheets, vertex_functions=means, **of_points)
+        return Multiplier(
+            along_normals(step.lam, step.n), step.n, sheets, vertex_functions=means, comm=step.comm, **of_points
+        )
 
 
 UNUSED = (

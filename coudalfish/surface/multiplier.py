@@ -42,6 +42,7 @@ class Multiplier:
         active: mask of the points in the fluid, shape (points,).
         weights: reference areas of the points, shape (points,).
         vertex_functions: of the fluid's mesh at the points; None: relaxation is uniform.
+        comm: ranks that have all this; None: there is one.
 
     Attributes:
         acting: multiplier without that of points that are held, shape (points,).
@@ -61,12 +62,13 @@ class Multiplier:
         active: Any,
         weights: FloatArray,
         vertex_functions: sp.csr_matrix | None,
+        comm: MPI.Comm | None = None,
     ) -> None:
         self._held, self._lam, self._active, self._sheets = held, lam, active, sheets
         self.whole = lam
         self.acting = np.where(held, 0.0, lam)
         W = np.where(active & ~held, weights, 0.0)
-        self._means = None if vertex_functions is None else SheetMeans(vertex_functions, W, n, sheets)
+        self._means = None if vertex_functions is None else SheetMeans(vertex_functions, W, n, sheets, comm)
 
     def advance(self, step: Alternating) -> float:
         """One pass: fluid and shell in turn."""
@@ -101,16 +103,23 @@ class SheetMeans:
         W: reference areas, zero at points that take no part, shape (points,).
         n: normals, shape (points, d).
         sheets: how the points hang together.
+        comm: ranks that have the same, each of which takes some of the vertices; None: there is one.
     """
 
     N: sp.csr_matrix
     W: FloatArray
     n: FloatArray
     sheets: Sheets
+    comm: MPI.Comm | None = None
 
     @cached_property
     def _means(self) -> VertexMeans:
-        return VertexMeans(apart(self.N, self.sheets), self.W)
+        N = self.N
+        if self.comm is not None and self.comm.size > 1:
+            own = sp.csr_matrix((N.data * (N.indices % self.comm.size == self.comm.rank), N.indices, N.indptr), N.shape)
+            own.eliminate_zeros()
+            N = own
+        return VertexMeans(apart(N, self.sheets), self.W)
 
     @cached_property
     def _kept(self) -> list[tuple[Any, FloatArray]]:
@@ -132,9 +141,11 @@ class SheetMeans:
         return kept
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
-        """Smoothed multiplier, shape (points,)."""
+        """Smoothed multiplier, shape (points,) (collective)."""
         kept, sign = self._keep(x), self.sheets.sign
         smooth = sign * (self._means @ (sign * (x - kept)))
+        if self.comm is not None:
+            smooth = ranks.total(self.comm, smooth)
         return kept + smooth - self._keep(smooth)
 
 
@@ -189,8 +200,9 @@ def carried_over(lam: FloatArray, known: Any, wanted: Any, sheets: Sheets) -> Fl
         Shape (points,).
     """
     result, known = sheets.sign * lam, known & ~wanted
-    links = np.concatenate([sheets.links, sheets.links[:, ::-1]])
-    a, b = links[(wanted & ~known)[links[:, 0]]].T
+    a, b = sheets.both_ways
+    there = (wanted & ~known)[a]
+    a, b = a[there], b[there]
     while True:
         use = known[b] & ~known[a]
         if not use.any():

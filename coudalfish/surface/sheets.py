@@ -109,6 +109,11 @@ class Sheets:
         """Pairs of neighbouring points, also across joints, shape (links, 2)."""
         return np.concatenate([self.edges, self.joints])
 
+    @cached_property
+    def both_ways(self) -> IntArray:
+        """The same with the second point first as well, shape (2, 2 links)."""
+        return np.ascontiguousarray(np.concatenate([self.links, self.links[:, ::-1]]).T)
+
     def _parts(self, pairs: IntArray) -> IntArray:
         n = len(self.X)
         return connected_components(sp.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)[1]
