@@ -6,7 +6,6 @@ The demo's valve in a coarse mesh that is bisected around the leaflets, and anew
 
 import json
 import logging
-import resource
 import time
 from functools import partial
 from pathlib import Path
@@ -20,11 +19,13 @@ from coudalfish import advance
 from coudalfish.refinement import Band, FollowingBand
 from coudalfish.restart import CoupledState
 from coudalfish.valves import Leaflets, quantities
+from tigar_x.ranks import on_root
 from tigar_x.run import script
 from tigar_x.run.history import FILE, History
 from tigar_x.run.output import CSVSeries
+from tigar_x.run.progress import peak_rss_mib
 from tigar_x.run.restart import Restart
-from varmint import aortic_root
+from varmint.mesh.aorta import aortic_root, sectors
 from varmint.mesh.refined import Refinement
 from varmint.quantities import Measured, flow_rate
 
@@ -50,7 +51,7 @@ class FollowedValve:
     def __init__(self, scene: Any, base: float, band: Band, ahead: int, expected: Any = None) -> None:
         demo = load_demo("heart_valve")
         self.data = demo.Data()
-        meshes = Refinement(aortic_root(MPI.COMM_WORLD, size=base, radius=self.data.radius))
+        meshes = Refinement(aortic_root(MPI.COMM_WORLD, size=base, radius=self.data.radius), sectors)
         shell, make = scene.leaflets(self.data), partial(scene.flow, data=self.data)
         known = {"ahead": ahead, "expected": expected}
         self.following = FollowingBand(meshes, make, shell, band, **known)
@@ -136,16 +137,17 @@ def main(
             if step % checkpoint_every == 0:
                 kept.step, kept.extra = step, {"cpu_s": cpu, "cpu_mesh": valve.cpu_mesh, "meshes": following.number}
                 kept.write()
-                np.save(out / EXPECTED, following.expected)
+                on_root(MPI.COMM_WORLD, lambda: np.save(out / EXPECTED, following.expected))
     past = History.read(out)
     found = {name: quantity.value for name, quantity in quantities(past, valve.data.reversal).items()}
     found |= {"cpu_s": cpu, "cpu_mesh": valve.cpu_mesh, "steps": len(past.t), "meshes": following.number}
     found |= {"cells_mean": past["cells"].mean(), "cells_max": past["cells"].max()}
     found |= {"cell_size": past["cell_size"].max(), "points": len(following.fsi.lam)}
-    found |= {"peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0}
+    found |= {"peak_rss_mib": peak_rss_mib()}
     text = json.dumps(found, indent=1)
-    (out / "summary.json").write_text(text)
-    print(text, flush=True)
+    on_root(MPI.COMM_WORLD, lambda: (out / "summary.json").write_text(text))
+    if MPI.COMM_WORLD.rank == 0:
+        print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -48,6 +48,18 @@ def base(d):
 
 
 @pytest.mark.mpi
+def test_ranks_get_the_cells_that_they_are_to_have():
+    """By places, such as those around which cells become small."""
+
+    def halves(x, ranks):
+        return np.where(x[:, 0] < 0.5, 0, ranks - 1)
+
+    fine = Refinement(base(2), halves).mesh(near(np.full(2, 0.25), 0.1, 0.2))
+    x = compat.cell_vertices(fine.domain)[: compat.owned_cells(fine.domain)].mean(axis=1)
+    assert (halves(x, fine.domain.comm.size) == fine.domain.comm.rank).all()
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_refined_mesh_fits_together_and_keeps_its_groups(d):
     mesh = base(d)

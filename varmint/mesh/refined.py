@@ -17,7 +17,7 @@ import numpy as np
 
 from tigar_x import compat, ranks
 from tigar_x.compat import FloatArray
-from varmint.mesh.arrays import distributed
+from varmint.mesh.arrays import Owners, distributed
 from varmint.mesh.checks import MeshArrays, Numbers
 from varmint.mesh.named import NamedMesh, require_named
 
@@ -34,6 +34,7 @@ class Refinement:
 
     Args:
         base: mesh of triangles or tetrahedra.
+        owners: of the cells of the finer meshes, see :func:`varmint.mesh.arrays.distributed`.
 
     Attributes:
         base: as given.
@@ -42,11 +43,11 @@ class Refinement:
         ValueError: it has other cells.
     """
 
-    def __init__(self, base: NamedMesh) -> None:
+    def __init__(self, base: NamedMesh, owners: Owners | None = None) -> None:
         require_named(base)
         if not compat.is_simplex(base.domain):
             raise ValueError(f"base has cells {compat.cell_name(base.domain)!r}: triangles or tetrahedra are required")
-        self.base = base  # its communicator lives as long as it does
+        self.base, self._owners = base, owners  # the base's communicator lives as long as it does
         self._arrays = _gathered(base)
 
     def mesh(self, sizes: Sizes) -> NamedMesh:
@@ -62,7 +63,8 @@ class Refinement:
         Raises:
             ValueError: on all ranks: a size is not positive, or so small that it is not reached.
         """
-        return distributed(self.base.domain.comm, lambda: bisected(cast(MeshArrays, self._arrays), sizes))
+        arrays = cast(MeshArrays, self._arrays)
+        return distributed(self.base.domain.comm, lambda: bisected(arrays, sizes), self._owners)
 
 
 def bisected(arrays: MeshArrays, sizes: Sizes) -> MeshArrays:
