@@ -12,27 +12,30 @@ from shnapr.contact.pairs import ContactForces
 from tigar_x import ranks
 from tigar_x.compat import FloatArray
 
-DEALT = 32
-"""Points that a rank gets at a time: single ones would be everywhere, and so would the boxes of their tree."""
+ROUNDED = 1e-9
+"""Part of a distance that rounding may lack."""
 
 
 def own_pairs(comm: MPI.Comm, x: FloatArray, reach: float) -> IndexArray:
     """Those pairs of close points that are this rank's, by their numbers, whatever other pairs there are.
 
     Args:
-        comm: the ranks, among which points are dealt out, some neighbours at a time.
+        comm: the ranks, which have as many points each, one after the other along the longest direction.
         x: points, shape (n, d); unit: length.
         reach: distance up to which they are close.
 
     Returns:
         Pairs (i, j) with i < j, in no order, shape (pairs, 2).
     """
-    own = np.flatnonzero(np.arange(len(x)) // DEALT % comm.size == comm.rank)
-    here, everywhere = (cKDTree(points, balanced_tree=False, compact_nodes=False) for points in (x[own], x))
-    found = here.sparse_distance_matrix(everywhere, reach, output_type="ndarray")
-    i, j = own[found["i"]], found["j"]
-    mine = ((i < j) == ((i + j) % 2 == 0)) & (i != j)  # a pair is found from both of its points
-    return np.sort(np.stack([i[mine], j[mine]], axis=1), axis=1)
+    along = x[:, np.ptp(x, axis=0).argmax()]
+    order = np.argsort(along, kind="stable")
+    first, last = (len(x) * (comm.rank + k) // comm.size for k in (0, 1))
+    if first == last:
+        return np.empty((0, 2), dtype=np.intp)
+    end = np.searchsorted(along[order], along[order[last - 1]] + (1.0 + ROUNDED) * reach, "right")
+    near = order[first:end]
+    found = cKDTree(x[near], balanced_tree=False, compact_nodes=False).query_pairs(reach, output_type="ndarray")
+    return np.sort(near[found[found[:, 0] < last - first]], axis=1)  # a pair is of the rank that has the first of both
 
 
 def of_all_ranks(comm: MPI.Comm, evaluate: Callable[[], ContactForces]) -> ContactForces:
