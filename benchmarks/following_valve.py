@@ -127,7 +127,7 @@ def main(
         cpu, valve.cpu_mesh = kept.extra["cpu_s"], kept.extra["cpu_mesh"]
         following.number = kept.extra["meshes"]
     with CSVSeries(out / FILE, COLUMNS, after=kept.after) as history:
-        for step in range(kept.step + 1, round(until / dt) + 1):
+        for step in range(round(following.fsi.timeInt_f.time / dt) + 1, round(until / dt) + 1):
             t, row, changed = valve.step(dt)
             cpu += row[-1]
             history.write(t, *row[:-1], cpu)
