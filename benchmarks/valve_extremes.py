@@ -1,6 +1,8 @@
 """Stiff and extreme cases of the heart valve: what ran, what was refused or cut, what was observed.
 
 A coarse valve opens for a short time and is closed by a reversed pressure; every case changes one number of that scene.
+Solves of the flow are watched: their iterations, how many failed, how many MUMPS had to take over, and how many steps
+needed another attempt.
 `tests/test_heart_valve.py` asserts on the first steps of the same cases, the slow tests on the whole.
 """
 
@@ -11,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from load import load_demo
+from solvers import Fallbacks, Solves
 
 from coudalfish import CouDALFISh, CouplingOptions, StepError, advance
 from coudalfish.valves import Leaflets
@@ -23,9 +26,13 @@ SHORT = demo.Data(reversal=0.02)
 DT, UNTIL, RESOLUTION, ELEMENTS = 1e-4, 0.05, 10, 10
 HEADER = (
     "case",
+    "preset",
     "result",
     "cut steps",
     "passes mean/max",
+    "iterations of a solve, mean/max",
+    "failed solves, MUMPS",
+    "second attempts",
     "CPU s",
     "largest opening",
     "last opening",
@@ -79,11 +86,14 @@ class Outcome:
     """What a case did; ``fsi`` is its last accepted state, ``rows`` are opening areas and smallest distances."""
 
     fsi: CouDALFISh
+    preset: str
+    solves: Solves
     rows: list[tuple[float, float]]
     reports: list[Any]
     result: str = "ran"
     message: str = "-"
     cuts: int = 0
+    mumps: int = 0
     piercings: int = 0
     cpu_s: float = 0.0
 
@@ -103,7 +113,7 @@ class Outcome:
     def cells(self, name: str) -> list[str]:
         """A line of the table."""
         if not self.rows:
-            return [name, self.result, *["-"] * (len(HEADER) - 3), self.message]
+            return [name, self.preset, self.result, *["-"] * (len(HEADER) - 4), self.message]
         passes = [report.passes for report in self.reports]
         openings, distances = np.transpose(self.rows)
         numbers = (
@@ -114,26 +124,37 @@ class Outcome:
             self.closing_ratio,
             max(report.slip_ratio for report in self.reports),
         )
-        shown = (f"{number:.3g}" for number in numbers)
-        return [name, self.result, str(self.cuts), f"{np.mean(passes):.1f}/{max(passes)}", f"{self.cpu_s:.0f}",
-                *shown, self.message]  # fmt: skip
+        shown, linear = (f"{number:.3g}" for number in numbers), self.solves.iterations
+        more = sum(report.attempts > 1 for report in self.reports)
+        return [name, self.preset, self.result, str(self.cuts), f"{np.mean(passes):.1f}/{max(passes)}",
+                f"{np.mean(linear):.1f}/{max(linear)}", f"{self.solves.failed}, {self.mumps}", str(more),
+                f"{self.cpu_s:.0f}", *shown, self.message]  # fmt: skip
 
 
 def run(
-    case: Case, *, until: float = UNTIL, resolution: int = RESOLUTION, options: CouplingOptions | None = None
+    case: Case,
+    *,
+    until: float = UNTIL,
+    resolution: int = RESOLUTION,
+    options: CouplingOptions | None = None,
+    preset: Any = "plain",
 ) -> Outcome:
     """Run a case until it ends or a step fails for good; every tenth step is looked at for leaflets that cross."""
     dt = case.dt_factor * DT
-    scene = demo.Valve(resolution=resolution, leaflet_elements=ELEMENTS, dt=dt, preset="plain")
+    elements = ELEMENTS if resolution <= RESOLUTION else 0
+    scene = demo.Valve(resolution=resolution, leaflet_elements=elements, dt=dt, preset=preset)
     _, shell, fsi = scene.build(case.data, options)
-    leaflets, outcome, watch = Leaflets(shell), Outcome(fsi, [], []), Stopwatch()
+    leaflets, watch = Leaflets(shell), Stopwatch()
+    outcome = Outcome(fsi, preset, Solves(fsi), [], [])
     for n in range(1, round(until / dt) + 1):
         try:
-            with watch:
+            with watch, Fallbacks() as fallbacks:
                 reports = advance(fsi, dt, halvings=4)
         except StepError as error:
             outcome.result, outcome.message = f"stopped at t = {fsi.timeInt_f.time:.4g}", str(error)
             break
+        finally:
+            outcome.mumps += fallbacks.count
         outcome.reports += reports
         outcome.cuts += len(reports) - 1
         outcome.rows.append((leaflets.opening(), min(reports[-1].contact.distance, shell.contact.kernel.r_max)))
@@ -143,11 +164,19 @@ def run(
     return outcome
 
 
-def main(only: str = "", until: float = UNTIL, out: Path = Path("results/benchmarks/valve_extremes")) -> dict[str, Any]:
+def main(
+    only: str = "",
+    presets: str = "plain,jump",
+    resolution: int = RESOLUTION,
+    until: float = UNTIL,
+    out: Path = Path("results/benchmarks/valve_extremes"),
+) -> dict[str, Any]:
     """Run the stiff and extreme cases of the heart valve and print a table.
 
     Args:
         only: a part of the names of the cases to run; empty: all.
+        presets: of the valve, separated by commas.
+        resolution: cells across the aorta; leaflets suit them where they are more than the default.
         until: end of every run.
         out: folder of the results.
 
@@ -157,8 +186,8 @@ def main(only: str = "", until: float = UNTIL, out: Path = Path("results/benchma
     script.set_up_logging(logging.ERROR)
     rows = []
     for name, case in cases().items():
-        if only in name:
-            outcome = run(case, until=until)
+        for preset in presets.split(",") if only in name else ():
+            outcome = run(case, until=until, resolution=resolution, preset=preset)
             rows.append([*outcome.cells(name), "finite" if outcome.is_finite else "NOT FINITE"])
             print(" | ".join(rows[-1]), flush=True)
     lines = [HEADER, ["---"] * len(HEADER), *(row[:-1] for row in rows)]
@@ -166,7 +195,8 @@ def main(only: str = "", until: float = UNTIL, out: Path = Path("results/benchma
     out.mkdir(parents=True, exist_ok=True)
     (out / "valve_extremes.md").write_text(table + "\n")
     finite = all(row[-1] == "finite" for row in rows)
-    return write_summary(out, "valve_extremes", {"until": until}, rows=rows, all_finite=bool(finite))
+    inputs = {"presets": presets, "resolution": resolution, "until": until}
+    return write_summary(out, "valve_extremes", inputs, rows=rows, all_finite=bool(finite))
 
 
 if __name__ == "__main__":
