@@ -90,10 +90,10 @@ class Valve:
     def flow(self, mesh: Any, data: Data, solver: Any = None) -> Flow:
         """Blood at rest on a mesh of the aorta."""
         inlet = Traction("inlet", lambda x, t: ufl.as_vector([0.0, 0.0, pressure(self.waveform, t, data)]))
-        R, kinds = self.outlet_resistance, {"jump": ("jump", 0), "sharp": ("jump and kink", 0), "plain": ("plain", 1)}
+        R, fields = self.outlet_resistance, {"jump": "jump", "sharp": "jump and kink"}.get(str(self.preset), "plain")
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
-        fields, fill = kinds.get(str(self.preset), ("plain", 2))
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
+        fill = 2 if self.preset == "reference" else 1
         solver = solver or two_level(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
         return Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
 

@@ -336,7 +336,7 @@ def watched(monkeypatch):
     kept, plain = [], Converged.prepared
 
     def watching(self, at):
-        kept.append((at.fluid.system._solver._keeps, self.preconditioner is not None))
+        kept.append((at.fluid.system._solver.keeps, self.preconditioner is not None))
         return plain(self, at)
 
     monkeypatch.setattr(Converged, "prepared", watching)

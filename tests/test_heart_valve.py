@@ -56,7 +56,7 @@ def test_the_scene_at_rest(valve):
     flow, shell, fsi = valve
     assert shell.piercings() == 0
     assert sum(fsi.shell.quadrature.weights) == pytest.approx(3 * 2.040, rel=5e-3)
-    assert flow.options.solver.name == "two_level(0)"
+    assert flow.options.solver.name == "two_level(1)"
     assert fsi.options == CouplingOptions.converged(fluid_tangent="consistent")
 
 

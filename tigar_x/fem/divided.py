@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 import ufl
 from dolfinx import fem
 
 from tigar_x import compat
-from tigar_x.compat import FloatArray
+from tigar_x.compat import FloatArray, IntArray
 
 
 class Doubled:
@@ -62,3 +63,13 @@ class Doubled:
             both, to = z.x.array.reshape(-1, 2 * m), self.node_of_z[at]
             both[to, :m], both[to, m:] = first, second
             both[to, p] -= 0.5 * self.side[at] * second[:, p]
+
+
+def pairs(cells: IntArray, nodes: int) -> sp.csr_matrix:
+    """Ones where two nodes are those of one cell, a node and itself as well, shape (nodes, nodes)."""
+    starts = np.arange(0, cells.size + 1, cells.shape[1])
+    ones = sp.csr_matrix((np.ones(cells.size, dtype=np.int32), cells.ravel(), starts), shape=(len(cells), nodes))
+    pattern = (ones.T @ ones).tocsr()
+    pattern.sort_indices()
+    pattern.data[:] = 1
+    return pattern

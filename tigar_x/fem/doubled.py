@@ -20,7 +20,9 @@ from petsc4py import PETSc
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem import rounding
-from tigar_x.fem.divided import Doubled
+from tigar_x.fem.carried import Rows
+from tigar_x.fem.divided import Doubled, pairs
+from tigar_x.fem.linear import PreparedSolver
 from tigar_x.fem.nodes import RowNodes
 from tigar_x.fem.solve import FiniteElementSystem
 
@@ -62,10 +64,11 @@ class DoubledSystem(FiniteElementSystem):
         self._nodes = len(self.x.x.array) // self._m
         self._owned_nodes, self._owned_cells = V.dofmap.index_map.size_local, compat.owned_cells(V.mesh)
         self._comm, self._number = V.mesh.comm, fem.Function(V)
-        self._beside = _pairs(self._cell_nodes[: self._owned_cells], self._nodes)
+        self._beside = pairs(self._cell_nodes[: self._owned_cells], self._nodes)
         self._free = np.ones((self._nodes, self._m))
         self._free.ravel()[self.constrained] = 0.0
         self._shape: tuple[Any, ...] | None = None
+        self._made: tuple[PreparedSolver, Any, Rows] | None = None  # whose preconditioner serves, and for which rows
         self.divide(d.cells, d.second, d.side)
 
     # -- what is divided ----------------------------------------------------------------------------------------------
@@ -83,11 +86,11 @@ class DoubledSystem(FiniteElementSystem):
         same = self._shape is not None and all(map(np.array_equal, shape, self._shape))
         if not self._comm.allreduce(same, op=MPI.LAND):
             self._shape = tuple(mask.copy() for mask in shape)
-            self._allocate()
+            self._allocate(side)
         self._e.x.array[:] *= second.ravel()
         self._doubled.divide(cells, second, side)
 
-    def _allocate(self) -> None:
+    def _allocate(self, side: FloatArray) -> None:
         """Rows, matrix, vectors and forms of what is divided now (collective)."""
         compat.free_dropped(self._comm)
         cells, self.second = self._shape  # type: ignore[misc]
@@ -105,9 +108,10 @@ class DoubledSystem(FiniteElementSystem):
         numbers[self._doubles, 1] = first + self._owned_nodes + np.arange(len(self._doubles))
         self._number.x.scatter_forward()
         names = numbers[:, :2].T.ravel().astype(PETSc.IntType)
-        layout = self._layout = _Layout()
-        A = self._matrix(names, rows)
+        A, layout = self._matrix(names, rows), _Layout()
         self._lay_out(layout, A, A.createVecLeft())
+        self._layout = layout
+        self._carry(side)
         self._present = self.b.duplicate()
         compat.freed_with(layout, self._present)
         self._block = self._small_matrix(layout)
@@ -151,7 +155,7 @@ class DoubledSystem(FiniteElementSystem):
     def _small_matrix(self, owner: Any) -> PETSc.Mat:
         """Matrix of this rank's divided cells, two blocks a node."""
         n, size = len(self._touched), 2 * self._m
-        pattern = _pairs(self._compact, n)
+        pattern = pairs(self._compact, n)
         counts = np.diff(pattern.indptr).astype(PETSc.IntType)
         A = PETSc.Mat().create(comm=MPI.COMM_SELF)
         A.setSizes(((n * size, None), (n * size, None)))
@@ -164,6 +168,30 @@ class DoubledSystem(FiniteElementSystem):
         A.setLGMap(names_map, names_map)
         compat.freed_with(owner, A)
         return A
+
+    def preconditioner(self) -> PETSc.PC:
+        """See there."""
+        self._note_rows()
+        return super().preconditioner()
+
+    def solve(self, reference: float | None = None) -> PETSc.Vec:
+        """See there."""
+        self._note_rows()
+        return super().solve(reference)
+
+    def _note_rows(self) -> None:
+        """Those for which a preconditioner is about to be made, where none is kept."""
+        if not self._solver.keeps:
+            side = self._doubled.side[: self._owned_nodes].copy()
+            self._made = self._solver, self._layout, Rows(self._m, self._doubles, side, self._doubled.jumps)
+
+    def _carry(self, side: FloatArray) -> None:
+        """Begin with the preconditioner of former rows, if it serves."""
+        rows = Rows(self._m, self._doubles, side[: self._owned_nodes], self._doubled.jumps)
+        former, self._made = self._made, None
+        if former is not None and former[0].can_be_carried and rows.resemble(former[2], self._comm):
+            self._made = former
+            self._solver.carry(*former, rows)
 
     # -- fields -------------------------------------------------------------------------------------------------------
 
@@ -258,7 +286,7 @@ class DoubledSystem(FiniteElementSystem):
         """Places for whatever couples unknowns of one cell that has second blocks, by a penalty at points as well."""
         cells = self._cell_nodes[: self._owned_cells]
         at, compact = np.unique(cells[self._is_double[cells].any(axis=1)], return_inverse=True)
-        pattern = _pairs(compact.reshape(-1, cells.shape[1]), len(at))
+        pattern = pairs(compact.reshape(-1, cells.shape[1]), len(at))
         both = (at[pattern.indices][:, None] + np.array([0, self._nodes])).ravel().astype(PETSc.IntType)
         starts, add = (2 * pattern.indptr).astype(PETSc.IntType), PETSc.InsertMode.ADD_VALUES
         values = np.zeros((len(both), self._m, self._m))
@@ -320,13 +348,3 @@ class DoubledSystem(FiniteElementSystem):
         for function in (self.x, self._e):
             function.x.scatter_forward()
         self._doubled.join(last=True)
-
-
-def _pairs(cells: IntArray, nodes: int) -> sp.csr_matrix:
-    """Ones where two nodes are those of one cell, a node and itself as well, shape (nodes, nodes)."""
-    starts = np.arange(0, cells.size + 1, cells.shape[1])
-    ones = sp.csr_matrix((np.ones(cells.size, dtype=np.int32), cells.ravel(), starts), shape=(len(cells), nodes))
-    pattern = (ones.T @ ones).tocsr()
-    pattern.sort_indices()
-    pattern.data[:] = 1
-    return pattern

@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from tigar_x import compat
+from tigar_x.fem.carried import Carried, Rows
 from tigar_x.fem.nodes import RowNodes
+from tigar_x.fem.own_ksp import check_ranks, hand_over, tolerances_kept
 from tigar_x.fem.petsc_options import chosen, of_one_rank
 from tigar_x.fem.recipes import (
     LARGE,
@@ -48,36 +49,6 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 _prefixes = itertools.count()
-
-
-def _check_ranks(recipe: LinearSolver, A: PETSc.Mat) -> None:
-    """Refuse a KSP of other ranks, which would never come back."""
-    ksp: Any = recipe.ksp
-    same = MPI.Comm.Compare(ksp.comm.tompi4py(), A.comm.tompi4py()) in (MPI.IDENT, MPI.CONGRUENT)
-    if not same:
-        raise ValueError(
-            f"solver: the KSP of {recipe.name!r} lives on {ksp.comm.size} ranks, one on the communicator of the"
-            f" matrix, of {A.comm.size}, is required"
-        )
-
-
-def _hand_over(ksp: PETSc.KSP, A: PETSc.Mat) -> None:
-    """Give a user's KSP the matrix; one that has served another matrix forgets it."""
-    known = ksp.getOperators()[0]
-    if known.handle != A.handle:
-        if min(known.getSize()) >= 0:
-            ksp.reset()
-        ksp.setOperators(A)
-
-
-@contextmanager
-def _tolerances_kept(ksp: PETSc.KSP) -> Iterator[None]:
-    """Leave a KSP's tolerances as they were; a user's may serve elsewhere as well."""
-    rtol, atol, *_ = ksp.getTolerances()
-    try:
-        yield
-    finally:
-        ksp.setTolerances(rtol=rtol, atol=atol)
 
 
 def keep_orthogonal(ksp: PETSc.KSP) -> None:
@@ -129,8 +100,9 @@ class PreparedSolver:
             PETSc.Options(self._prefix).getString(key, "")
         self._options = {self._prefix + key: value for key, value in options.items() if key not in recipe.overrides}
         if recipe.ksp is not None:
-            _check_ranks(recipe, A)
+            check_ranks(recipe, A)
         self._kept_iterations: int | None = None
+        self._former: tuple[PreparedSolver, Carried] | None = None
         self._fallback: PreparedSolver | None = None
         self._residual: PETSc.Vec | None = None
         self._copy: PETSc.Vec | None = None
@@ -163,12 +135,13 @@ class PreparedSolver:
         ksp.setOperators(self._operator())
         with self._table_of_options():
             ksp.setFromOptions()
-        if self.recipe.aggregates is not None and self._nodes is not None:
+        context: Carried | TwoLevel | None = None if self._former is None else self._former[1]
+        if context is None and self.recipe.aggregates is not None and self._nodes is not None:
+            context = TwoLevel(self._nodes, self._prefix, size=self.recipe.aggregates, repair=self.recipe.repair)
+        if context is not None:
             pc = ksp.getPC()
             pc.setType("python")
-            pc.setPythonContext(
-                TwoLevel(self._nodes, self._prefix, size=self.recipe.aggregates, repair=self.recipe.repair)
-            )
+            pc.setPythonContext(context)
         if self.recipe.configure is not None:
             self.recipe.configure(ksp)
             if self.recipe.overrides:
@@ -215,8 +188,8 @@ class PreparedSolver:
         try:
             ksp, operator = self._ksp, self._operator()
             if self.recipe.ksp is not None:
-                _hand_over(ksp, operator)
-            with self._table_of_options(), _tolerances_kept(ksp):
+                hand_over(ksp, operator)
+            with self._table_of_options(), tolerances_kept(ksp):
                 self._set_tolerances(reference)
                 if self.recipe.ksp is None or self.recipe.rebuild_growth is not None:
                     ksp.getPC().setReusePreconditioner(keep)
@@ -288,10 +261,10 @@ class PreparedSolver:
         try:
             ksp, operator = self._ksp, self._operator()
             if self.recipe.ksp is not None:
-                _hand_over(ksp, operator)
+                hand_over(ksp, operator)
             with self._table_of_options():
                 if self.recipe.ksp is None or self.recipe.rebuild_growth is not None:
-                    self._pc.setReusePreconditioner(self._keeps)
+                    self._pc.setReusePreconditioner(self.keeps)
                 self._pc.setUp()
                 self._pc.setUpOnBlocks()
         except PETSc.Error as error:
@@ -301,15 +274,37 @@ class PreparedSolver:
         return self._pc
 
     @property
-    def _keeps(self) -> bool:
+    def keeps(self) -> bool:
         """Whether a preconditioner is kept that has been made for a former matrix."""
         return self.recipe.rebuild_growth is not None and self._kept_iterations is not None
+
+    @property
+    def can_be_carried(self) -> bool:
+        """Whether it has a preconditioner of its own that may serve another matrix, see :meth:`carry`."""
+        own = self.recipe.ksp is None and self.recipe.configure is None and self._former is None
+        return own and self.keeps and not self.recipe.is_direct
+
+    def carry(self, former: "PreparedSolver", owner: Any, was: Rows, now: Rows) -> None:
+        """Begin with the preconditioner of another matrix, which is kept like one's own.
+
+        Args:
+            former: whose it is, with the same recipe; its :attr:`can_be_carried` holds.
+            owner: of that matrix.
+            was: rows of that matrix.
+            now: rows of this one.
+        """
+        self._former = former, Carried(former._pc, owner, was, now)
+        self._kept_iterations = former._kept_iterations
 
     def served(self, iterations: float) -> None:
         """Take note of the iterations of a solve with :meth:`preconditioner`, infinitely many if it failed."""
         growth, before = self.recipe.rebuild_growth, self._kept_iterations
         if math.isinf(iterations) or (growth is not None and before is not None and iterations > growth * before + 2):
             self._kept_iterations = None
+            if self._former is not None:
+                self._former[0].served(math.inf)
+                self._discard()
+                self._former = None
         elif growth is None or before is None:
             self._kept_iterations = int(iterations)
 
@@ -327,7 +322,7 @@ class PreparedSolver:
         Raises:
             SolveError: neither the recipe nor its fallbacks gave a finite solution to the tolerance.
         """
-        keep = self._keeps
+        keep = self.keeps
         cause, iterations = self._attempt(b, x, reference, keep)
         self.served(math.inf if cause else iterations)
         if keep and cause:
