@@ -125,7 +125,7 @@ class Functions:
         if own is not None and not self.vector:
             return Acting(H, own.at_points, own.at_nodes, own_normals=True)
         G = sp.csr_matrix(sp.diags(np.repeat(step.W, d)) @ H)
-        F = by_components(step.trace.transposed, G)
+        F = by_components(step.trace.transposed, G, d)
         if step.comm.size > 1:
             G = sp.csr_matrix(sp.diags(np.repeat(_shares(step), d)) @ G)
         if own is None:

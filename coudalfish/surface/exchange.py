@@ -36,17 +36,19 @@ def along_normals(lam: FloatArray, n: FloatArray) -> FloatArray:
     return np.divide(np.einsum("qi,qi->q", lam, n), square, out=np.zeros_like(square), where=square > 0.0)
 
 
-def by_components(A: sp.spmatrix, forces: sp.spmatrix) -> sp.csr_matrix:
+def by_components(A: sp.spmatrix, forces: sp.spmatrix, d: int) -> sp.csr_matrix:
     """A matrix times all components of forces, ``(A x I) F``.
 
     Args:
         A: shape (m, n).
         forces: those of functions, shape (n d, functions).
+        d: number of components.
 
     Returns:
         Shape (m d, functions).
     """
-    d = forces.shape[0] // A.shape[1]
+    if not A.shape[1]:  # a rank may have no points
+        return sp.csr_matrix((d * A.shape[0], forces.shape[1]))
     F = forces.tobsr((d, 1))
     beside = sp.bsr_matrix((F.data.reshape(-1, 1, d), F.indices, F.indptr), shape=(A.shape[1], d * F.shape[1]))
     product = A.tocsr().tobsr((1, 1)) @ beside  # components beside each other: one product for all

@@ -96,7 +96,7 @@ class OnPolygons(Averaged):
         d, rows = self.normals.shape[1], np.repeat(np.arange(acting.shape[0]), np.diff(acting.indptr))
         blocks = (acting.data[:, None] * forces[rows])[:, :, None], acting.indices, acting.indptr
         each = sp.bsr_matrix(blocks, shape=(d * acting.shape[0], acting.shape[1]))
-        return NormalForces(by_components(self.hats.T, each), by_components(E.T, each))
+        return NormalForces(by_components(self.hats.T, each, d), by_components(E.T, each, d))
 
     def _sided(self, n: FloatArray) -> sp.csr_matrix:
         """Hat functions with the side of the surface on which the polygons' normals are, 1 or -1 (collective).
