@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from mpi4py import MPI
 from scipy.sparse.linalg import LinearOperator, splu
 
 from coudalfish.step.method import Stepping
@@ -127,7 +126,8 @@ class Functions:
         G = sp.csr_matrix(sp.diags(np.repeat(step.W, d)) @ H)
         F = by_components(step.trace.transposed, G, d)
         if step.comm.size > 1:
-            G = sp.csr_matrix(sp.diags(np.repeat(_shares(step), d)) @ G)
+            share = step.trace.seen / np.maximum(step.trace.seen_by(step.comm), 1)  # who sees a point has the same
+            G = sp.csr_matrix(sp.diags(np.repeat(share, d)) @ G)
         if own is None:
             return Acting(H, G, F, own_normals=False)
         return Acting(H, _with_own(G, own.at_points), _with_own(F, own.at_nodes), own_normals=True)
@@ -155,14 +155,6 @@ class Functions:
         column = np.broadcast_to((3 * N.col)[:, None, None] + np.arange(3), values.shape)
         shape = 3 * N.shape[0], 3 * N.shape[1]
         return sp.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape)
-
-
-def _shares(step: Stepping) -> FloatArray:
-    """This rank's share of every point: as many ranks as see it have the same (collective), shape (points,)."""
-    seen = np.diff(step.trace.B.indptr) > 0
-    count = seen.astype(np.int32)
-    step.comm.Allreduce(MPI.IN_PLACE, count, op=MPI.SUM)
-    return np.divide(1.0, count, out=np.zeros(len(count)), where=seen)
 
 
 def _with_own(forces: sp.csr_matrix, along: sp.csr_matrix) -> sp.csr_matrix:

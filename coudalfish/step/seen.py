@@ -53,10 +53,8 @@ class Seen:
         if comm.size == 1:
             none = np.empty(0, dtype=np.int64)
             return cls(at, none, none, 0, B, slice(None), at.P, at.G, at.H, at.W)
-        seen = np.diff(B.indptr) > 0
-        count = seen.astype(np.int32)
-        comm.Allreduce(MPI.IN_PLACE, count, op=MPI.SUM)
-        points = np.flatnonzero(seen | (np.diff(at.G.indptr).reshape(-1, d).any(axis=1)))
+        count = at.trace.seen_by(comm)
+        points = np.flatnonzero(at.trace.seen | (np.diff(at.G.indptr).reshape(-1, d).any(axis=1)))
         several = np.flatnonzero(count > 1)
         rows = (d * points[:, None] + np.arange(d)).ravel()
         place = np.full((len(count), d), -1)

@@ -242,6 +242,17 @@ class TraceMatrix:
         """``B^T``, made once."""
         return self.B.T.tocsr()
 
+    @property
+    def seen(self) -> Any:
+        """Mask of the points that this rank sees, shape (points,)."""
+        return np.diff(self.B.indptr) > 0
+
+    def seen_by(self, comm: MPI.Comm) -> IntArray:
+        """Number of the ranks that see each point (collective), shape (points,)."""
+        count = self.seen.astype(np.int32)
+        comm.Allreduce(MPI.IN_PLACE, count, op=MPI.SUM)
+        return count
+
 
 def trace_matrix(space: fem.FunctionSpace, location: Location) -> TraceMatrix:
     """Trace matrix of a velocity space at located points.

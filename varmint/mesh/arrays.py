@@ -1,7 +1,6 @@
 """Meshes from arrays with named groups of facets and cells, distributed over the ranks."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from itertools import permutations
 from typing import Any
 
@@ -130,6 +129,12 @@ Owners = Callable[[FloatArray, int], IntArray]
 """From the middles of simplices, shape (cells, d), and the number of ranks to the rank of each, shape (cells,)."""
 
 
+def _owner(comm: MPI.Comm, owners: Owners, middles: FloatArray) -> IntArray:
+    """Ranks of the cells on rank 0, and none on the others (collective)."""
+    found = on_root(comm, lambda: owners(middles, comm.size))
+    return np.empty(0, dtype=np.int64) if found is None else found
+
+
 def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays], owners: Owners | None = None) -> NamedMesh:
     """Mesh from arrays that rank 0 makes, once they are known to be one.
 
@@ -150,10 +155,8 @@ def distributed(comm: MPI.Comm, make: Callable[[], MeshArrays], owners: Owners |
     cell, facets, groups = comm.bcast(arrays and (arrays.cell, arrays.facets, arrays.cell_groups))
     dim = DIMENSIONS[cell]
     cells = np.zeros((0, VERTICES[cell]), dtype=np.int64) if arrays is None else arrays.cells
-    x, owner = np.zeros((0, dim)) if arrays is None else arrays.x, None
-    if owners is not None and comm.size > 1:
-        owner = on_root(comm, partial(lambda find: find(x[cells].mean(axis=1), comm.size), owners))
-        owner = np.empty(0, dtype=np.int64) if owner is None else owner
+    x = np.zeros((0, dim)) if arrays is None else arrays.x
+    owner = None if owners is None or comm.size == 1 else _owner(comm, owners, x[cells].mean(axis=1))
     domain = compat.create_mesh(comm, cell, cells, x, owner)
     cell_numbers, node_numbers = compat.input_numbers(domain)
     found = {name: np.flatnonzero(np.isin(cell_numbers, group)) for name, group in groups.items()}
