@@ -89,6 +89,40 @@ def test_what_has_no_band_or_few_entries_gets_sparse_factors(width, far):
     np.testing.assert_allclose(factors.solve(b), np.linalg.solve(A, b), rtol=1e-9, atol=1e-12)
 
 
+def symmetric(n: int, width: int, seed: int) -> np.ndarray:
+    A = banded(n, width, seed)
+    return A + A.T
+
+
+def test_a_symmetric_band_that_is_definite_has_a_factor_of_a_third_of_the_size():
+    shift, b = 60.0 * np.eye(200), np.random.default_rng(9).standard_normal((200, 4))
+    definite, indefinite, skew = symmetric(200, 20, 10) + shift, symmetric(200, 20, 10), banded(200, 20, 10) + shift
+    assert np.linalg.eigvalsh(definite)[0] > 0.0 > np.linalg.eigvalsh(indefinite)[0]
+    for A, kind in ((definite, "_Definite"), (indefinite, "_Band"), (skew, "_Band")):
+        factors = Factors(sp.csr_matrix(A))
+        assert kinds(factors)[-1] == kind
+        np.testing.assert_allclose(factors.solve(b), np.linalg.solve(A, b), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(factors.solve(b[:, 0]), np.linalg.solve(A, b[:, 0]), rtol=1e-9, atol=1e-9)
+    definite[20, 0] += 1e-9
+    assert kinds(Factors(sp.csr_matrix(definite)))[-1] == "_Band"
+    definite[0, 20] = 0.0  # a place that only one triangle has
+    assert kinds(Factors(sp.csr_matrix(definite)))[-1] == "_Band"
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_layout_serves_again_where_the_same_entries_are_zero_and_changes_no_bit(wide):
+    A = two_parts_and_held_rows() if not wide else symmetric(180, 20, 11) + 60.0 * np.eye(180)
+    former, b = Factors(stored(A)), np.random.default_rng(12).standard_normal((180, 3))
+    B = A * (1.0 + 0.1 * (A + A.T))
+    again, anew = Factors(stored(B), like=former), Factors(stored(B))
+    assert again._layout is former._layout is not anew._layout
+    np.testing.assert_array_equal(again.solve(b), anew.solve(b))
+    B[0, 2] = B[2, 0] = 0.0
+    assert Factors(stored(B), like=again)._layout is not again._layout
+    assert Factors(sp.csr_matrix(B), like=again)._layout is not again._layout
+    np.testing.assert_allclose(Factors(stored(B), like=again).solve(b), np.linalg.solve(B, b), rtol=1e-8, atol=1e-8)
+
+
 @pytest.mark.parametrize("row", [0, 150])
 def test_a_singular_matrix_is_refused(row):
     A = two_parts_and_held_rows()

@@ -81,6 +81,7 @@ class SplineSystem:
         self._recipe = chosen(solver, direct(), prefix)
         self._solver: PreparedSolver | None = None
         self._factors: Factors | None = None
+        self._former: Factors | None = None
         self._part: Part | None = None
         self._by_factors, self.iterations = False, 0
 
@@ -247,7 +248,7 @@ class SplineSystem:
         elif self._A is not self._own:
             self._bind(self._own)
         self.A.zeroRowsColumns(self._zero, diag=1.0)
-        self._factors = None
+        self._factors, self._former = None, self._factors or self._former
 
     def _refuse_empty_rows(self, A: PETSc.Mat) -> None:
         """PETSc can put no one on a diagonal that is not stored, and would stop one rank only."""
@@ -318,7 +319,8 @@ class SplineSystem:
 
             indptr, columns, values = self.A.getValuesCSR()
             comm = None if self._part is None else self._part.comm
-            self._factors = Factors(sp.csr_matrix((values, columns, indptr), shape=self.A.size), comm)
+            A = sp.csr_matrix((values, columns, indptr), shape=self.A.size)
+            self._factors = Factors(A, comm, like=self._former)
         return self._factors.solve(load)
 
     def add(self, u: fem.Function, increment: PETSc.Vec, factor: float = 1.0) -> None:
