@@ -18,7 +18,7 @@ from tigar_x import compat
 from tigar_x.fem.linear import PreparedSolver, SolveError, direct, two_level
 from tigar_x.fem.nodes import RowNodes, aggregates
 from tigar_x.fem.petsc_options import chosen
-from tigar_x.fem.two_level import TwoLevel
+from tigar_x.fem.two_level import TwoLevel, _linear
 from tigar_x.run.progress import rss_mib
 
 WORLD = MPI.COMM_WORLD
@@ -93,7 +93,7 @@ def test_aggregates_are_small_and_of_one_group():
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("floating", [False, True])
-def test_coarse_level_is_exact_for_what_is_constant_in_aggregates(floating):
+def test_coarse_level_is_exact_for_constants_and_linear_pressures_of_aggregates(floating):
     """r = A P c gives P c whatever the smoother is."""
     plain = nodes_of(blocked_matrix())
     A = held_matrix(plain)
@@ -105,12 +105,33 @@ def test_coarse_level_is_exact_for_what_is_constant_in_aggregates(floating):
     if floating and WORLD.rank == 0:
         constants[0, -1] = 0.0
     x, r = A.createVecs()
-    x.array_w[:] = (constants[number] * ~nodes.held).ravel()
+    values = constants[number]
+    if not floating:  # one of the pressures would have another value where it is pinned
+        slopes = rng.random((number.max() + 1, 3))
+        values[:, -1] += np.einsum("ij,ij->i", slopes[number], nodes.x)
+    x.array_w[:] = (values * ~nodes.held).ravel()
     A.mult(x, r)
     y = x.duplicate()
     pc.apply(r, y)
     assert (y - x).norm() < 1e-12 * x.norm()
     pc.destroy()
+
+
+def test_linear_functions_are_independent_or_zero():
+    """Of points in space, in a plane, on a line and alone, of which some pressures are held."""
+    rng = np.random.default_rng(0)
+    scale = np.repeat([[1.0, 2.0, 3.0], [1.0, 1.0, 1e-9], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]], 9, axis=0)
+    x, number, free = rng.random((36, 3)) * scale + 5.0, np.repeat(np.arange(4), 9), np.ones(36)
+    free[[0, 9, 18]] = 0.0
+    found = _linear(x, number, 4, free, 3)
+    assert not found[free == 0.0].any()
+    for k, rank in enumerate((3, 2, 1, 0)):
+        here = (number == k) & (free > 0.0)
+        functions = np.column_stack([np.ones(here.sum()), found[here]])
+        gram = functions.T @ functions / here.sum()
+        some = gram.diagonal() > 0.0
+        assert some.sum() == 1 + rank
+        assert np.allclose(gram[np.ix_(some, some)], np.eye(1 + rank), atol=1e-9)
 
 
 @pytest.mark.mpi

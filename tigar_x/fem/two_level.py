@@ -4,12 +4,15 @@ With r a residual, P what is constant for each component in aggregates of nodes,
 
     z = P (P' A P)^-1 P' r,    y = z + S (r - A z).
 
+The last component is a pressure, whose equation is nearly Poisson's at small time steps: of it P has linear functions
+of the aggregates as well. With constants alone iterations grow with the number of unknowns.
+
 Near an immersed surface whose stabilisation is scaled down, pivots of pressures are weak until fill arrives. The
 smoother is therefore made for a repaired copy of the matrix, in which the pressures' couplings between two nodes there
 are multiplied and those on the diagonal keep the sums of the rows. GMRES keeps the exact matrix.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -24,12 +27,14 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.nodes import RowNodes, aggregates
 
-AGGREGATE = {0: 64, 20_000: 128, 70_000: 256}
+AGGREGATE = {0: 128, 100_000: 256}
 """Nodes of an aggregate, from a number of nodes of all ranks on: more would make the coarse level too expensive."""
-MOST = 4_000
+MOST = 2_300
 """Aggregates of all ranks at most: beyond, they grow with the number of nodes."""
 DENSE = 600
 """Unknowns of the coarse level up to which its factors are dense."""
+FLAT = 1e-3
+"""Square of the extent of an aggregate, relative to that of its longest side, that is none."""
 SINGULAR, SHIFT = 1e-9, 1e-6
 """Pivots of the coarse level, whose diagonal is one, that count as zero; and what is added to the diagonal then."""
 _FLOATING_POINT = 72  # PETSc's code for a number that is not finite
@@ -138,9 +143,10 @@ def _named_columns(A: PETSc.Mat, pattern: Any) -> Any:
 
 
 class Coarse:
-    """The coarse level: constants for each component in aggregates of nodes, solved on every rank.
+    """The coarse level, solved on every rank: constants of each component in aggregates of nodes, and linear pressures.
 
-    The rows of A P, about two blocks each, are kept: they take less time than a product with A, and no messages.
+    The rows of A P, about two blocks each, are kept: they take less time than a product with A, and no messages. A
+    column of blocks belongs to an aggregate: first the constants, then the linear functions.
 
     Args:
         A: the matrix.
@@ -159,43 +165,50 @@ class Coarse:
         mine = int(number.max(initial=-1)) + 1
         counts = comm.allgather(mine)
         first, self._total = sum(counts[: comm.rank]), sum(counts)
-        self._bs, self._own, self._counts = bs, own, [bs * count for count in counts]
+        nc = 2 * bs - 1
+        self._bs, self._nc, self._own, self._counts = bs, nc, own, [nc * count for count in counts]
         self._range = slice(first, first + mine)
         self._free = 1.0 - nodes.held
         self._number = number
+        self._linear = _linear(nodes.x[:, : bs - 1], number, mine, self._free[:, -1], bs - 1)
         self._restrict = sp.csr_matrix((np.ones(own), (number, np.arange(own))), shape=(mine, own))
         column = continued((number + first).astype(np.float64)).astype(np.int64)[pattern.columns]
+        at_columns = [continued(np.ascontiguousarray(w))[pattern.columns] for w in self._linear.T]
         keys, sums = _sums(pattern.rows * self._total + column)
         rows, columns = np.divmod(keys, self._total)
         inside = int(np.searchsorted(pattern.columns >= own, True))
-        self._sums = sums[:, :inside], sums[:, inside:]
+        self._sums = [
+            (part[:, :inside], part[:, inside:]) for part in (sums, *(_weighted(sums, w) for w in at_columns))
+        ]
         starts = np.searchsorted(rows, np.arange(own + 1))
-        blocks, shape = np.zeros((len(keys), bs, bs)), (bs * own, bs * self._total)
+        blocks, shape = np.zeros((len(keys), bs, nc)), (bs * own, nc * self._total)
         self._product = sp.bsr_matrix((blocks, columns, starts), shape=shape)
         held = np.argwhere(nodes.held)
         self._held = pattern.diagonal[held[:, 0]], held[:, 1]
         pairs = np.searchsorted(keys, held[:, 0] * self._total + first + number[held[:, 0]])
         self._held_place = pairs, held[:, 1], held[:, 1]
-        keys, self._sums_of_rows = _sums(number[rows] * self._total + columns)
-        empty = (self._restrict @ self._free) == 0.0
+        keys, sums = _sums(number[rows] * self._total + columns)
+        self._sums_of_rows = sums, *(_weighted(sums, w[rows]) for w in self._linear.T)
+        every = np.hstack([self._free, np.abs(self._linear)])
+        empty = (self._restrict @ every) == 0.0
         self._lay_out(keys + first * self._total, empty, nodes.floating)
 
     def _lay_out(self, keys: IntArray, empty: Any, floating: bool) -> None:
         """Rows and columns of the coarse matrix, of all ranks (collective)."""
-        comm, bs = self._comm, self._bs
+        comm, bs, nc = self._comm, self._bs, self._nc
         every = np.concatenate(comm.allgather(keys))
-        self._parts = [bs * bs * count for count in comm.allgather(len(keys))]
+        self._parts = [nc * nc * count for count in comm.allgather(len(keys))]
         rows, columns = np.divmod(every, self._total)
-        at = np.arange(bs)
-        shape = len(every), bs, bs  # column by column, as the blocks are
-        self._rows = np.broadcast_to((bs * rows)[:, None, None] + at[None, None, :], shape).ravel()
-        self._columns = np.broadcast_to((bs * columns)[:, None, None] + at[None, :, None], shape).ravel()
+        at = np.arange(nc)
+        shape = len(every), nc, nc  # column by column, as the blocks are
+        self._rows = np.broadcast_to((nc * rows)[:, None, None] + at[None, None, :], shape).ravel()
+        self._columns = np.broadcast_to((nc * columns)[:, None, None] + at[None, :, None], shape).ravel()
         self._ones = np.flatnonzero(np.concatenate(comm.allgather(empty.ravel())))
         self._pinned = -1
         if floating:
-            known = np.ones(bs * self._total, dtype=bool)
+            known = np.ones(nc * self._total, dtype=bool)
             known[self._ones] = False
-            self._pinned = int(np.flatnonzero(known.reshape(-1, bs)[:, -1])[0]) * bs + bs - 1
+            self._pinned = int(np.flatnonzero(known.reshape(-1, nc)[:, bs - 1])[0]) * nc + bs - 1
 
     def make(self, values: list[FloatArray]) -> None:
         """Factor P' A P (collective).
@@ -203,13 +216,22 @@ class Coarse:
         Args:
             values: blocks of the matrix.
         """
-        bs, n = self._bs, self._bs * self._total
-        parts = zip(self._sums, values, strict=False)
-        product = sum(part @ blocks.reshape(-1, bs * bs) for part, blocks in parts).reshape(-1, bs, bs)
+        bs, nc, n = self._bs, self._nc, self._nc * self._total
+        product = np.empty((len(self._product.data), nc, bs))
+        whole = [blocks.reshape(-1, bs * bs) for blocks in values]
+        of_pressures = [np.ascontiguousarray(blocks[:, -1]) for blocks in values]
+        product[:, :bs] = _summed(self._sums[0], whole).reshape(-1, bs, bs)
+        for k, parts in enumerate(self._sums[1:], start=bs):
+            product[:, k] = _summed(parts, of_pressures)
         blocks, component = self._held
         product[self._held_place] -= values[0][blocks, component, component]
         self._product.data[:] = product.transpose(0, 2, 1)
-        mine = np.ascontiguousarray(self._sums_of_rows @ product.reshape(-1, bs * bs)).ravel()
+        constants, *linear = self._sums_of_rows
+        coarse = np.empty((constants.shape[0], nc, nc))
+        coarse[:, :, :bs] = (constants @ product.reshape(-1, nc * bs)).reshape(-1, nc, bs)
+        for k, part in enumerate(linear, start=bs):
+            coarse[:, :, k] = part @ np.ascontiguousarray(product[:, :, -1])
+        mine = coarse.ravel()
         every = np.empty(sum(self._parts))
         self._comm.Allgatherv(mine, (every, self._parts))
         if not np.isfinite(every).all():
@@ -224,15 +246,51 @@ class Coarse:
 
     def correct(self, x: FloatArray, z: FloatArray, rest: FloatArray) -> None:
         """The correction z = P (P' A P)^-1 P' x and the rest x - A z, for this rank's values (collective)."""
-        bs = self._bs
-        mine = np.ascontiguousarray(self._restrict @ (x.reshape(-1, bs) * self._free)).ravel()
-        every = np.empty(bs * self._total)
+        bs, nc, nodal = self._bs, self._nc, x.reshape(-1, self._bs)
+        mine = (self._restrict @ np.hstack([nodal * self._free, nodal[:, -1:] * self._linear])).ravel()
+        every = np.empty(nc * self._total)
         self._comm.Allgatherv(mine, (every, self._counts))
         if self._pinned >= 0:
             every[self._pinned] = 0.0
         solved = self._solve(every)
-        z.reshape(-1, bs)[:] = solved.reshape(-1, bs)[self._range][self._number] * self._free
+        found, values = solved.reshape(-1, nc)[self._range][self._number], z.reshape(-1, bs)
+        values[:] = found[:, :bs] * self._free
+        values[:, -1] += np.einsum("ij,ij->i", found[:, bs:], self._linear)
         rest[:] = x - self._product @ solved
+
+
+def _linear(x: FloatArray, number: IntArray, count: int, free: FloatArray, m: int) -> FloatArray:
+    """Values at nodes of m linear functions of each aggregate, independent of each other and of constants, or zero.
+
+    They are its principal coordinates; those of one that has no extent there are zero.
+
+    Args:
+        x: the nodes, shape (nodes, d), d <= m.
+        number: of each one's aggregate.
+        count: of the aggregates.
+        free: zero at nodes whose pressure is held, and one.
+        m: number of functions.
+    """
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(number, free * column, count) for column in values.reshape(len(x), -1).T]
+        return np.stack(sums, axis=1) / np.maximum(np.bincount(number, free, count), 1.0)[:, None]
+
+    away, d = x - mean(x)[number], x.shape[1]
+    squares, axes = np.linalg.eigh(mean(away[:, :, None] * away[:, None, :]).reshape(-1, d, d))
+    lengths = np.where(squares > FLAT * squares[:, -1:], np.sqrt(np.maximum(squares, 0.0)), np.inf)
+    along = np.einsum("ij,ijk->ik", away, axes[number]) / np.where(lengths > 0.0, lengths, np.inf)[number]
+    return np.hstack([free[:, None] * along, np.zeros((len(x), m - d))])
+
+
+def _weighted(sums: sp.csr_matrix, weights: FloatArray) -> sp.csr_matrix:
+    """Sums of values that have weights."""
+    return sp.csr_matrix((weights[sums.indices], sums.indices, sums.indptr), shape=sums.shape)
+
+
+def _summed(parts: Sequence[sp.csr_matrix], values: Sequence[FloatArray]) -> FloatArray:
+    """The sums over own columns and those of other ranks together."""
+    return np.asarray(sum(part @ some for part, some in zip(parts, values, strict=False)))
 
 
 def _sums(keys: IntArray) -> tuple[IntArray, sp.csr_matrix]:
