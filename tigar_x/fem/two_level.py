@@ -25,6 +25,7 @@ from scipy.sparse.linalg import splu
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.compat.blocks import LongArray
 from tigar_x.fem.nodes import RowNodes, aggregates
 
 AGGREGATE = {0: 128, 100_000: 256}
@@ -259,7 +260,7 @@ class Coarse:
         rest[:] = x - self._product @ solved
 
 
-def _linear(x: FloatArray, number: IntArray, count: int, free: FloatArray, m: int) -> FloatArray:
+def _linear(x: FloatArray, number: LongArray, count: int, free: FloatArray, m: int) -> FloatArray:
     """Values at nodes of m linear functions of each aggregate, independent of each other and of constants, or zero.
 
     They are its principal coordinates; those of one that has no extent there are zero.
