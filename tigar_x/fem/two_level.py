@@ -37,7 +37,7 @@ DENSE = 600
 FLAT = 1e-3
 """Square of the extent of an aggregate, relative to that of its longest side, that is none."""
 SINGULAR, SHIFT = 1e-9, 1e-6
-"""Pivots of the coarse level, whose diagonal is one, that count as zero; and what is added to the diagonal then."""
+"""Pivots of the coarse level, relative to the matrix's own diagonal, that count as zero; what is added there then."""
 _FLOATING_POINT = 72  # PETSc's code for a number that is not finite
 
 
@@ -170,7 +170,7 @@ class Coarse:
         self._bs, self._nc, self._own, self._counts = bs, nc, own, [nc * count for count in counts]
         self._range = slice(first, first + mine)
         self._free = 1.0 - nodes.held
-        self._number = number
+        self._number, self._diagonal = number, pattern.diagonal
         self._linear = _linear(nodes.x[:, : bs - 1], number, mine, self._free[:, -1], bs - 1)
         self._restrict = sp.csr_matrix((np.ones(own), (number, np.arange(own))), shape=(mine, own))
         column = continued((number + first).astype(np.float64)).astype(np.int64)[pattern.columns]
@@ -243,7 +243,19 @@ class Coarse:
         known = np.append(every, np.ones(len(ones)))
         rows, columns = np.append(self._rows, ones), np.append(self._columns, ones)
         A = sp.csc_matrix((known, (rows, columns)), shape=(n, n))
-        self._solve = _solver(A)
+        self._solve = _solver(A, self._sizes(values[0]))
+
+    def _sizes(self, blocks: FloatArray) -> FloatArray:
+        """Diagonal of P' D P with the diagonal D of the matrix, one where that is zero (collective)."""
+        at = np.arange(self._bs)
+        fine = np.abs(blocks[self._diagonal][:, at, at])
+        squares = np.hstack([self._free * fine, self._linear**2 * fine[:, -1:]])
+        mine, every = np.ascontiguousarray(self._restrict @ squares).ravel(), np.empty(self._nc * self._total)
+        self._comm.Allgatherv(mine, (every, self._counts))
+        every[self._ones] = 1.0
+        if self._pinned >= 0:
+            every[self._pinned] = 1.0
+        return np.where(every > 0.0, every, 1.0)
 
     def correct(self, x: FloatArray, z: FloatArray, rest: FloatArray) -> None:
         """The correction z = P (P' A P)^-1 P' x and the rest x - A z, for this rank's values (collective)."""
@@ -301,13 +313,16 @@ def _sums(keys: IntArray) -> tuple[IntArray, sp.csr_matrix]:
     return different, sp.csr_matrix((np.ones(len(keys)), place, np.arange(len(keys) + 1)), shape=shape).T.tocsr()
 
 
-def _solver(A: sp.csc_matrix) -> Callable[[FloatArray], FloatArray]:
+def _solver(A: sp.csc_matrix, sizes: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Factors of a coarse matrix; what is all but singular, as constants of few aggregates may be, gets no correction.
 
     A sparse one is shifted then.
+
+    Args:
+        A: the coarse matrix.
+        sizes: what rounding makes of a zero on its diagonal is small compared with these, shape (rows,).
     """
-    diagonal = np.abs(A.diagonal())
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scale = 1.0 / np.sqrt(sizes)
     scaled = (sp.diags(scale) @ A @ sp.diags(scale)).tocsc()
     if A.shape[0] <= DENSE:
         dense = scaled.toarray()
