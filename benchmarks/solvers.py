@@ -27,12 +27,13 @@ NAMES = ("preset", "state", "cells", "ranks", "recipe", "solves", "mean", "large
 COLUMNS = (*NAMES, "solve_ms", "ratio", "error_p", "most_rss_mib")
 
 
-def recipes(names: str) -> dict[str, LinearSolver | None]:
+def recipes(names: str, keep: bool = True) -> dict[str, LinearSolver | None]:
     """Linear solvers by name, as "ilu2", with one level, or "two1"; the number is that of levels of fill.
 
-    "demo" is None, for what the demo chooses.
+    "demo" is None, for what the demo chooses. Others keep a preconditioner for further solves, or make each a new one.
     """
-    kinds, common = {"ilu": gmres_ilu, "two": two_level}, {"rtol": 1e-5, "rebuild_growth": 1.5, "fallback": direct()}
+    kinds, common = {"ilu": gmres_ilu, "two": two_level}, {"rtol": 1e-5, "fallback": direct()}
+    common["rebuild_growth"] = 1.5 if keep else None
     return {n: None if n == "demo" else kinds[n[:3]](int(n[3:]), **common) for n in names.split(",")}
 
 
@@ -141,10 +142,12 @@ def pressure_errors(fsi: Any, chosen: dict[str, LinearSolver | None]) -> list[fl
     return found
 
 
-def measure(resolution: int, preset: str, closed: bool, steps: int, names: str, errors: bool) -> list[dict[str, Any]]:
+def measure(
+    resolution: int, preset: str, closed: bool, steps: int, names: str, errors: bool, keep: bool
+) -> list[dict[str, Any]]:
     """Runs on the ranks of this process."""
     logging.getLogger("coudalfish").setLevel(logging.ERROR)
-    demo, comm, chosen = load_demo("heart_valve"), MPI.COMM_WORLD, recipes(names)
+    demo, comm, chosen = load_demo("heart_valve"), MPI.COMM_WORLD, recipes(names, keep)
     data = demo.Data(systolic=-1e5) if closed else demo.Data()
     valve = demo.Valve(resolution=resolution, preset=preset)
     runs, watched, cells = [], [], 0
@@ -180,6 +183,7 @@ def main(
     steps: int = 20,
     solvers: str = "demo",
     errors: bool = False,
+    keep: bool = True,
     out: Path = Path("results/benchmarks/solvers"),
     worker: str | None = None,
 ) -> None:
@@ -196,6 +200,7 @@ def main(
         solvers: recipes with one level (ilu) or two, and their levels of fill, as ilu2,two1; ratios are those to the
             first one. "demo" is the demo's own.
         errors: whether to compare pressures with those of MUMPS; of presets with a band.
+        keep: whether a preconditioner of these serves several solves; the demo's own always may.
         out: folder of the results.
         worker: one run as JSON, on the ranks of this process, instead of all.
     """
@@ -207,7 +212,7 @@ def main(
         for state in states.split(","):
             for resolution in map(int, resolutions.split(",")):
                 for count in map(int, ranks.split(",")):
-                    arguments = resolution, preset, state == "closed", steps, solvers, errors
+                    arguments = resolution, preset, state == "closed", steps, solvers, errors, keep
                     rows += on_ranks(count, HERE, "--worker", json.dumps(arguments))
                     print(
                         table(COLUMNS, [[r[c] for c in COLUMNS] for r in rows[-len(solvers.split(",")) :]]), flush=True
