@@ -7,6 +7,7 @@ The demo's valve in a coarse mesh that is bisected around the leaflets, and anew
 import json
 import logging
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,12 @@ from mpi4py import MPI
 from load import load_demo
 
 from coudalfish import advance
+from coudalfish.courant import CourantSteps
 from coudalfish.refinement import Band, FollowingBand
 from coudalfish.restart import CoupledState
 from coudalfish.valves import Leaflets, quantities
+from shnapr import ContactRecipe
+from tigar_x import LinearSolver, direct, two_level
 from tigar_x.ranks import on_root
 from tigar_x.run import script
 from tigar_x.run.history import FILE, History
@@ -31,7 +35,7 @@ from varmint.quantities import Measured, flow_rate
 
 COLUMNS = (
     *("flow_rate", "opening_area", "contact_pairs", "contact_load", "smallest_distance", "asymmetry", "leak", "passes"),
-    *("linear", "attempts", "slip", "cells", "cell_size", "meshes", "cpu_mesh", "cpu_s"),
+    *("linear", "attempts", "slip", "cells", "cell_size", "meshes", "dt", "cpu_mesh", "cpu_s"),
 )
 EXPECTED = "expected.npy"
 """Points around which the mesh of the last checkpoint was made."""
@@ -44,18 +48,31 @@ class FollowedValve:
         scene: of the demo.
         base: size of the cells elsewhere [cm].
         band: of the small cells.
-        ahead: steps for which they are made.
+        ahead: steps of the largest size for which they are made.
+        contact: range of contact [cm]; None: the demo's.
+        solver: of the flow; None: the demo's.
         expected: see :class:`coudalfish.refinement.FollowingBand`.
     """
 
-    def __init__(self, scene: Any, base: float, band: Band, ahead: int, expected: Any = None) -> None:
-        demo = load_demo("heart_valve")
-        self.data = demo.Data()
+    def __init__(
+        self,
+        scene: Any,
+        base: float,
+        band: Band,
+        ahead: int,
+        contact: float | None = None,
+        solver: LinearSolver | None = None,
+        expected: Any = None,
+    ) -> None:
+        self.data, self._ahead = load_demo("heart_valve").Data(), ahead
+        if contact is not None:
+            self.data = replace(self.data, contact=with_range(self.data.contact, contact))
         meshes = Refinement(aortic_root(MPI.COMM_WORLD, size=base, radius=self.data.radius), sectors)
-        shell, make = scene.leaflets(self.data), partial(scene.flow, data=self.data)
+        shell, make = scene.leaflets(self.data), partial(scene.flow, data=self.data, solver=solver)
         known = {"ahead": ahead, "expected": expected}
         self.following = FollowingBand(meshes, make, shell, band, **known)
         self.leaflets, self.cpu_mesh, self.rate = Leaflets(shell), 0.0, self._rate()
+        self._largest = self.following.fsi.step_size
 
     def _rate(self) -> Measured:
         return Measured(q=flow_rate(self.following.flow, "inlet"))
@@ -63,6 +80,7 @@ class FollowedValve:
     def step(self, dt: float) -> Any:
         """Take a step, and then change the mesh where that is due; the row, and whether the mesh is another one."""
         following, before = self.following, time.process_time()
+        following.ahead = round(self._ahead * self._largest / dt)
         reports = advance(following.fsi, dt)
         after = time.process_time()
         report, contact, least = reports[-1], reports[-1].contact, self.leaflets
@@ -70,7 +88,7 @@ class FollowedValve:
         row = [-self.rate()["q"], least.opening(), contact.pairs, contact.load, nearest, least.asymmetry()]
         row += [report.monitors.leak, *(sum(getattr(r, n) for r in reports) for n in ("passes", "linear_iterations"))]
         row += [max(r.attempts for r in reports), report.slip_ratio]
-        row += [following.flow.mesh.size, following.fsi.fluid.mesh_size, following.number]
+        row += [following.flow.mesh.size, following.fsi.fluid.mesh_size, following.number, dt]
         began = time.process_time()
         changed = following.follow()
         if changed:
@@ -80,6 +98,13 @@ class FollowedValve:
         return report.t, [*row, self.cpu_mesh, after - before + spent], changed
 
 
+def with_range(contact: ContactRecipe, size: float) -> ContactRecipe:
+    """The same contact at another range; the pressure of surfaces goes with the third power of it."""
+    factor = size / contact.kernel.r_max
+    kernel = replace(contact.kernel, r_max=size, stiffness=contact.kernel.stiffness / factor**3)
+    return replace(contact, kernel=kernel, r_self=factor * contact.r_self)
+
+
 def main(
     size: float = 0.115,
     base: float = 0.25,
@@ -87,8 +112,12 @@ def main(
     growth: float = 2.0,
     ahead: int = 8,
     leaflet_elements: int = 16,
+    contact: float | None = None,
     preset: str = "jump",
+    fill: int | None = None,
     dt: float = 2e-4,
+    halvings: int = 2,
+    courant: float = 2.0,
     until: float = 0.2,
     checkpoint_every: int = 50,
     restart: bool = False,
@@ -103,10 +132,14 @@ def main(
         growth: of cells beyond, per distance.
         ahead: steps for which the small cells are made.
         leaflet_elements: of a leaflet from post to post.
+        contact: range of contact, or more where points are too far apart for it [cm]; None: the demo's.
         preset: of the demo.
-        dt: time step [s].
+        fill: of factors that are made anew for every matrix; None: the demo's recipe, which keeps them.
+        dt: largest time step [s].
+        halvings: of it at most, where the Courant number asks for it.
+        courant: the largest one of cells; leaflets pass half as many in a step.
         until: end [s].
-        checkpoint_every: number of steps between checkpoints.
+        checkpoint_every: number of largest steps between checkpoints.
         restart: go on from the last checkpoint.
         out: folder of the results.
     """
@@ -115,27 +148,33 @@ def main(
     scene = demo.Valve(dt=dt, preset=preset, leaflet_elements=leaflet_elements)
     out.mkdir(parents=True, exist_ok=True)
     expected = np.load(out / EXPECTED) if restart else None
-    valve = FollowedValve(scene, base, Band(size, reach=reach, growth=growth), ahead, expected)
+    solver = None if fill is None else two_level(fill, rtol=1e-5, fallback=direct())
+    valve = FollowedValve(scene, base, Band(size, reach=reach, growth=growth), ahead, contact, solver, expected)
     following = valve.following
 
     def keeps() -> Restart:
         return Restart(out / "checkpoints", CoupledState(following.fsi))
 
-    kept, cpu = keeps(), 0.0
+    kept, cpu, every = keeps(), 0.0, checkpoint_every * dt
     if restart:
         kept.read()
         cpu, valve.cpu_mesh = kept.extra["cpu_s"], kept.extra["cpu_mesh"]
         following.number = kept.extra["meshes"]
     with CSVSeries(out / FILE, COLUMNS, after=kept.after) as history:
-        for step in range(round(following.fsi.timeInt_f.time / dt) + 1, round(until / dt) + 1):
-            t, row, changed = valve.step(dt)
+        steps = CourantSteps(following.fsi, dt, flow=courant, shell=courant / 2, halvings=halvings)
+        while following.fsi.timeInt_f.time < until - dt / 2 ** (halvings + 1):
+            t, row, changed = valve.step(steps.size())
             cpu += row[-1]
             history.write(t, *row[:-1], cpu)
             if changed:
                 kept = keeps()
                 kept.after = t
-            if step % checkpoint_every == 0:
-                kept.step, kept.extra = step, {"cpu_s": cpu, "cpu_mesh": valve.cpu_mesh, "meshes": following.number}
+            if abs(t / every - round(t / every)) < 1e-3:
+                kept.step, kept.extra = round(t / every), {
+                    "cpu_s": cpu,
+                    "cpu_mesh": valve.cpu_mesh,
+                    "meshes": following.number,
+                }
                 kept.write()
                 on_root(MPI.COMM_WORLD, lambda: np.save(out / EXPECTED, following.expected))
     past = History.read(out)

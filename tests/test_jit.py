@@ -24,6 +24,7 @@ from tigar_x.compat import forms, jit, kernels
 
 OPTIONS = next(iter(forms.JIT.values()))
 HERE = "test_jit.area()"
+LOOK_UP = jit._ffcx_look_up
 
 
 def area(comm=MPI.COMM_SELF):
@@ -73,6 +74,16 @@ def test_a_killed_compilation_is_in_nobodys_way(number, cache, monkeypatch):
     assert not list(cache.glob("*.cached"))
     assert area() == pytest.approx(2.0)
     assert names(cache) == ["c", "cached", "so"]
+
+
+def test_a_module_is_looked_for_in_the_folder_once(cache, monkeypatch):
+    """FFCx reads the names of all modules to find one, at every new mesh of a run otherwise."""
+    area()
+    sought = []
+    monkeypatch.setattr(jit, "_ffcx_look_up", lambda *arguments: sought.append(LOOK_UP(*arguments)) or sought[-1])
+    area()
+    assert area() == pytest.approx(2.0)
+    assert len(sought) <= 1
 
 
 def test_one_of_two_processes_compiles_and_the_other_waits(cache, caplog):

@@ -30,6 +30,7 @@ _LOCKS = "tigar_x.locks"  # one byte of it belongs to each module, so that no fi
 _PART = ".part"  # suffix of a folder in which a module is compiled
 _ffcx_look_up = ffcx_jit.get_cached_module
 _ffcx_compile = ffcx_jit._compile_objects
+_loaded: dict[Path, Any] = {}  # modules of this process: to find one FFCx reads the whole folder
 
 
 @contextmanager
@@ -194,13 +195,18 @@ def _load(name: str, objects: list[str], folder: Path) -> tuple[Any, Any] | None
     ready = folder / f"{name}.c.cached"
     if not ready.exists():
         return None
+    if (module := _loaded.get(ready)) is not None:
+        return [getattr(module.lib, key) for key in objects], module
     try:
         found = _ffcx_look_up(name, objects, folder, 1)
     except ImportError as error:
         log.warning("%s in %s cannot be loaded (%s): compiling it again", name, folder, error)
         ready.unlink(missing_ok=True)
         return None
-    return found if found[0] is not None else None
+    if found[0] is None:
+        return None
+    _loaded[ready] = found[1]
+    return found
 
 
 def _clear(folder: Path, locks: int, mine: str) -> None:
