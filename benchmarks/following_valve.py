@@ -170,11 +170,14 @@ def main(
                 kept = keeps()
                 kept.after = t
             if abs(t / every - round(t / every)) < 1e-3:
-                kept.step, kept.extra = round(t / every), {
-                    "cpu_s": cpu,
-                    "cpu_mesh": valve.cpu_mesh,
-                    "meshes": following.number,
-                }
+                kept.step, kept.extra = (
+                    round(t / every),
+                    {
+                        "cpu_s": cpu,
+                        "cpu_mesh": valve.cpu_mesh,
+                        "meshes": following.number,
+                    },
+                )
                 kept.write()
                 on_root(MPI.COMM_WORLD, lambda: np.save(out / EXPECTED, following.expected))
     past = History.read(out)

@@ -55,7 +55,7 @@ FLOORS = tuple(
         "coudalfish.surface",
         "coudalfish.sides",
         "coudalfish.step",
-        "coudalfish.intervals coudalfish.restart",
+        "coudalfish.intervals coudalfish.courant coudalfish.restart",
         "coudalfish.run",
         "coudalfish.coupler",
         "coudalfish.refinement coudalfish.problems coudalfish.valves",
