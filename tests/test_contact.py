@@ -285,7 +285,8 @@ def test_points_without_weight_take_no_part(d):
     np.testing.assert_array_equal(some.forces[~rest], 0)
     assert (some.pairs, some.energy) == (alone.pairs, alone.energy)
     none = SelfContact(replace(rule, weights=np.zeros(40)), LINEAR, 0.5).evaluate(cloud.x)
-    assert (none.pairs, none.tangent.nnz) == (0, 0)
+    assert (none.pairs, none.load, none.energy, none.distance, none.tangent.nnz) == (0, 0.0, 0.0, np.inf, 0)
+    assert none.tangent.shape == some.tangent.shape
 
 
 class Counted(SelfContact):
@@ -309,6 +310,21 @@ def test_the_past_does_not_matter(d):
         np.testing.assert_array_equal(got.forces, fresh.forces)
         np.testing.assert_array_equal(got.tangent.toarray(), fresh.tangent.toarray())
     assert 3 <= followed.searches < steps
+
+
+@BOTH_DIMENSIONS
+def test_pairs_serve_the_speed_of_approach_while_points_move_little(d):
+    cloud, rng = Cloud.of(d, n=150), np.random.default_rng(18)
+    followed, x, v = Counted(cloud.quadrature, LINEAR, 0.5), cloud.x, rng.normal(size=cloud.x.shape)
+    steps, speeds = 40, set()
+    for step in range(steps):
+        dt = R_MAX * (0.05 if step % 10 == 9 else 0.003)
+        x = x + dt * v
+        found = followed.closing_speed(x, v, dt)
+        assert found == cloud.contact(r_self=0.5).closing_speed(x, v, dt) > 0.0
+        speeds.add(found)
+    assert 2 <= followed.searches < steps / 2
+    assert len(speeds) > 2
 
 
 @BOTH_DIMENSIONS

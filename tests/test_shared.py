@@ -69,9 +69,9 @@ def test_ranks_get_the_same_to_the_last_digit_and_integrate_less():
         found = shared.b.array_r.copy(), csr(shared.A).data, shared.solve().array_r.copy()
         for arrays in COMM.allgather(found):
             assert all(np.array_equal(one, other) for one, other in zip(arrays, found, strict=True))
-        pairs = len(shared.contact._found)
-        assert COMM.allreduce(pairs) == len(whole.contact._found)
-        assert pairs < max(1, len(whole.contact._found))
+        pairs, every = len(shared.contact._interacting.pairs), len(whole.contact._interacting.pairs)
+        assert COMM.allreduce(pairs) == every
+        assert pairs < max(1, every)
 
 
 def test_a_coupled_shell_is_shared_by_the_ranks_of_the_flow():

@@ -11,10 +11,12 @@ that is drawn closed, or stacked sheets. Here a pair is exempt when there is a s
 
 import logging
 from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
+import scipy.sparse as sp
 from mpi4py import MPI
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -36,18 +38,33 @@ Neighbours = Literal["surface", "space"]
 """What exempts points within r_self: a short way along the surface, or their distance in space alone."""
 
 SKIN = 0.2
-"""How much further than r_max pairs are searched, relative to it: they serve until a node has moved by half of that."""
+"""How much further than needed pairs are searched, relative to r_max: they serve until a node has moved by half of
+that."""
 MOST_APPROACH = 3.0
 """Largest way in a step, relative to r_max, within which approaching points are looked for."""
 COINCIDENT = 1e-12
 """Distance relative to r_max below which two points have no direction of their own."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Admissible pairs of points that were closer than a reach where they were, in ascending order."""
+
+    x: FloatArray
+    reach: float
+    pairs: IndexArray
+
+    def serves(self, x: FloatArray, reach: float) -> bool:
+        """Whether all pairs are among them that are closer than another reach where the points are now."""
+        moved = x - self.x
+        return reach + 2.0 * float(np.sqrt(np.einsum("ni,ni->n", moved, moved).max(initial=0.0))) <= self.reach
+
+
 class SelfContact:
     """Contact of a shell, or of several in one spline, with itself.
 
-    Pairs are searched with a k-d tree, somewhat beyond r_max, and only again once a node has moved so far that another
-    pair might interact. What comes out depends on the given positions alone.
+    Pairs are searched with a k-d tree, somewhat farther than needed, and only again once a node has moved so far that
+    another pair might count. What comes out depends on the given positions alone.
 
     Points in the same place (closer than 1e-12 r_max) repel each other along the line between their reference
     positions, which r_self keeps apart; their tangent has no part across that line.
@@ -95,8 +112,8 @@ class SelfContact:
         checks.choice("neighbours", neighbours, get_args(Neighbours))
         self.apart = way_apart(quadrature, self.r_self)
         self._used = np.flatnonzero(quadrature.weights)
-        self._searched_at: FloatArray | None = None
-        self._found: IndexArray = np.empty((0, 2), dtype=np.intp)
+        self._interacting: _Found | None = None
+        self._approaching: _Found | None = None
         self._warned = False
         self._allowed = self._keys(self.apart) if neighbours == "surface" else np.empty(0, dtype=np.intp)
         self._comm: MPI.Comm | None = None
@@ -109,7 +126,7 @@ class SelfContact:
             comm: the ranks, which have the same positions.
         """
         other = copy(self)
-        other._comm, other._searched_at = comm, None
+        other._comm, other._interacting, other._approaching = comm, None, None
         return other
 
     def __repr__(self) -> str:
@@ -171,7 +188,10 @@ class SelfContact:
 
     def _evaluated(self, x: FloatArray, tangent: bool, positive: bool, alpha: float) -> ContactForces:
         """That of all pairs, or of this rank's."""
-        pairs, gap, r = self._interacting(x)
+        self._interacting = self._serving(self._interacting, x, self.kernel.r_max)
+        pairs, gap, r = _closer(self._interacting, x, self.kernel.r_max)
+        if not len(pairs):
+            return _no_contact(x, tangent)
         apart = r >= COINCIDENT * self.kernel.r_max
         inverse = np.divide(1.0, r, out=np.zeros_like(r), where=apart)
         direction = inverse[:, None] * gap
@@ -221,8 +241,8 @@ class SelfContact:
         """That of all pairs, or of this rank's."""
         fastest = 2.0 * float(np.sqrt(np.einsum("ni,ni->n", velocity, velocity)).max(initial=0.0))
         reach = self.kernel.r_max + min(fastest * dt, MOST_APPROACH * self.kernel.r_max)
-        pairs = self._search(x, reach)
-        gap, r = gaps(x, pairs)
+        self._approaching = self._serving(self._approaching, x, reach)
+        pairs, gap, r = _closer(self._approaching, x, reach)
         rate = np.einsum("pi,pi->p", gap, gaps(velocity, pairs)[0])
         return float(-np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0).min(initial=0.0))
 
@@ -234,15 +254,12 @@ class SelfContact:
             raise SolveError("x, the positions at which contact is evaluated, is not finite")
         return positions
 
-    def _interacting(self, x: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
-        """Admissible pairs closer than r_max in ascending order, the vectors between them and their distances."""
-        reach = (1.0 + SKIN) * self.kernel.r_max
-        slack = 0.5 * SKIN * self.kernel.r_max / np.sqrt(x.shape[1])
-        if self._searched_at is None or np.abs(x - self._searched_at).max(initial=0.0) > slack:
-            self._found, self._searched_at = self._search(x, reach), x.copy()
-        gap, r = gaps(x, self._found)
-        close = r < self.kernel.r_max
-        return self._found[close], gap[close], r[close]
+    def _serving(self, found: _Found | None, x: FloatArray, reach: float) -> _Found:
+        """What was found where it serves, or what is found now."""
+        if found is not None and found.serves(x, reach):
+            return found
+        farther = reach + SKIN * self.kernel.r_max
+        return _Found(x.copy(), farther, self._search(x, farther))
 
     def _search(self, x: FloatArray, reach: float) -> IndexArray:
         """Admissible pairs closer than ``reach``, all or this rank's, in ascending order, shape (pairs, 2)."""
@@ -270,3 +287,16 @@ class SelfContact:
             log.warning("contact: %d pairs of points are in the same place; they are pushed back apart", len(pairs))
         gap, r = gaps(self.quadrature.points, pairs)
         return gap / r[:, None]
+
+
+def _closer(found: _Found, x: FloatArray, reach: float) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Those pairs that are closer than a reach now, the vectors between them and their distances."""
+    gap, r = gaps(x, found.pairs)
+    close = r < reach
+    return found.pairs[close], gap[close], r[close]
+
+
+def _no_contact(x: FloatArray, tangent: bool) -> ContactForces:
+    """That of points of which no two interact."""
+    matrix = sp.bsr_matrix((x.size, x.size), blocksize=(x.shape[1], x.shape[1])) if tangent else None
+    return ContactForces(0.0, np.zeros(x.shape), matrix, pairs=0, load=0.0, distance=np.inf, coincident=0)
