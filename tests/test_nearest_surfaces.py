@@ -10,6 +10,7 @@ from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
+from coudalfish.surface.triangles import cross_products
 
 RNG = np.random.default_rng(11)
 
@@ -241,7 +242,7 @@ def test_patches_that_are_parametrised_against_each_other_have_one_side():
     assert set(near.sheet()) == {0}
     assert set(surface.net.sheet_of_points) == {0}
     assert not surface.net.one_sided.any()
-    ends = surface.net.at_corners(surface.net.ends)[surface.net.place]
+    ends = surface.net.places_at_ends[surface.net.place]
     np.testing.assert_array_equal(ends, (np.abs(sheets.X[:, :2] - 0.5) > 0.5 - 1e-9).any(axis=1))
 
 
@@ -285,3 +286,9 @@ def test_boxes_of_a_surface_that_has_moved_are_in_the_order_of_that_at_rest():
     np.testing.assert_array_equal(kept._boxes.order, Surfaces(rest[0], net)._boxes.order)
     for name in ("signed_distance", "normals", "covered"):
         np.testing.assert_array_equal(*(getattr(surface.nearest(x, sought), name)() for surface in (kept, fresh)))
+
+
+def test_products_across_are_those_of_numpy_to_the_last_bit():
+    a, b = np.random.default_rng(31).standard_normal((2, 1000, 3))
+    np.testing.assert_array_equal(cross_products(a, b), np.cross(a, b))
+    assert cross_products(a[:0], b[:0]).shape == (0, 3)

@@ -124,7 +124,7 @@ class Boxes:
         """What the functions in C take, and the arrays on which it rests."""
         first = self.parts * _leaves(len(self.order) // self.parts, max(1, LEAF // self.parts))
         leaves = len(first) - 1
-        x, boxes, discs = self.x[self.order], np.empty((2 * leaves - 1, 2, 3)), np.empty((leaves, 8))
+        x, boxes, discs = np.take(self.x, self.order, axis=0), np.empty((2 * leaves - 1, 2, 3)), np.empty((leaves, 8))
         tree = _functions().ffi.new("tree *")
         tree.leaves = leaves
         tree.x, tree.order, tree.first = _doubles(x), _integers(self.order), _integers(first)

@@ -287,7 +287,7 @@ class Enriching:
 
         In other cells the sign changes as they are half way between two surfaces, shape (cut,).
         """
-        corners, sizes = self.corners[cut.cells], self.sizes[cut.cells]
+        corners, sizes = np.take(self.corners, cut.cells, axis=0), self.sizes[cut.cells]
         zero, far = ZeroSet.of(cut, corners), self._of_neighbours[self.vertices[cut.cells]].max(axis=1)
         middles, around = zero.middles(), far[zero.rows]
         at_ends = interface.near_ends(middles, BEHIND[self._d] * around)

@@ -197,8 +197,17 @@ class Net:
         ends = self.triangles[triangle[:, None], np.array(OPPOSITE)[corner]]
         return Ending(triangle, corner, neighbouring((self.functions @ self.rest)[ends].mean(axis=1)))
 
-    def at_corners(self, edges: Any) -> Any:
-        """Mask of the places at ends of some edges, by a mask of these, shape (places,)."""
+    @cached_property
+    def places_at_ends(self) -> Any:
+        """Mask of the places where the surface ends, shape (places,)."""
+        return self._at(self.ends)
+
+    @cached_property
+    def places_at_free(self) -> Any:
+        """Mask of those where it ends and is not attached, shape (places,)."""
+        return self._at(self.free)
+
+    def _at(self, edges: Any) -> Any:
         there = np.zeros(int(self.corners.max(initial=-1)) + 1, dtype=bool)
         there[self.edge_places[edges]] = True
         return there

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from coudalfish.surface.cut_cells import CutCells, rule
 from coudalfish.surface.interface import Sought
+from coudalfish.surface.triangles import cross_products
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem.simplices import Parts
@@ -55,7 +56,7 @@ class ZeroSet:
 
     def places(self, barycentric: FloatArray) -> FloatArray:
         """Where points of the cells are, shape (n, ..., d + 1) -> (n, ..., d)."""
-        return np.asarray(np.einsum("n...c,nci->n...i", barycentric, self.corners[self.rows]))
+        return np.asarray(np.einsum("n...c,nci->n...i", barycentric, np.take(self.corners, self.rows, axis=0)))
 
     def sizes(self) -> FloatArray:
         """Lengths or areas of the simplices, shape (n,)."""
@@ -63,7 +64,7 @@ class ZeroSet:
         arms = ends[:, 1:] - ends[:, :1]
         if arms.shape[1] == 1:
             return np.asarray(np.sqrt(np.einsum("nki,nki->n", arms, arms)))
-        across = np.cross(arms[:, 0], arms[:, 1])
+        across = cross_products(arms[:, 0], arms[:, 1])
         return np.asarray(0.5 * np.sqrt(np.einsum("ni,ni->n", across, across)))
 
     def of_cells(self, values: FloatArray) -> FloatArray:

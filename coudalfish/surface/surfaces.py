@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from coudalfish.surface.boxes import CORNER, EDGE, Boxes, NearPlaces
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import OPPOSITE, Ending, Net
-from coudalfish.surface.triangles import Triangles
+from coudalfish.surface.triangles import Triangles, cross_products
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
 
@@ -43,7 +43,7 @@ class Surfaces:
     @cached_property
     def triangles(self) -> Triangles:
         """Where they are."""
-        return Triangles((self.net.functions @ self.x)[self.net.triangles])
+        return Triangles(np.take(self.net.functions @ self.x, self.net.triangles, axis=0))  # far faster than an index
 
     @cached_property
     def spacings(self) -> FloatArray:
@@ -149,7 +149,7 @@ class Surfaces:
         triangle, corner, _ = edges
         first, last = np.array(OPPOSITE)[corner].T
         a, b = self.triangles.x[triangle, first], self.triangles.x[triangle, last]
-        away = np.cross(b - a, self.triangles.normals[triangle])
+        away = cross_products(b - a, self.triangles.normals[triangle])
         return a, b, away / np.linalg.norm(away, axis=1)[:, None]
 
     def near_sheet(self, k: int, x: FloatArray, reach: FloatArray) -> Any:
@@ -218,15 +218,20 @@ class NearestOnSurfaces:
     @cached_property
     def _beyond(self) -> Any:
         """Mask of those behind an edge at which the surface ends, or on it."""
-        return self._on(self.surfaces.net.ends)
+        return self._on(self.surfaces.net.ends, self.surfaces.net.places_at_ends)
 
-    def _on(self, edges: Any) -> Any:
-        """Mask of those on some edges, by a mask of these."""
+    @cached_property
+    def _beyond_free(self) -> Any:
+        """Mask of those behind an edge at which it ends freely, or on it."""
+        return self._on(self.surfaces.net.free, self.surfaces.net.places_at_free)
+
+    def _on(self, edges: Any, ends: Any) -> Any:
+        """Mask of those on some edges, by masks of these and of the places at their ends."""
         net, triangle, kind = self.surfaces.net, self.places.triangle, self.places.kind
         on_edge, at_corner = (kind >= EDGE) & (kind < CORNER), kind >= CORNER
         result = np.zeros(len(kind), dtype=bool)
         result[on_edge] = edges[net.edges[triangle[on_edge], kind[on_edge] - EDGE]]
-        result[at_corner] = net.at_corners(edges)[net.corners[triangle[at_corner], kind[at_corner] - CORNER]]
+        result[at_corner] = ends[net.corners[triangle[at_corner], kind[at_corner] - CORNER]]
         return result
 
     def signed_distance(self) -> FloatArray:
@@ -269,7 +274,7 @@ class NearestOnSurfaces:
     def covered(self) -> Any:
         """Whether the nearest place is not beyond a free edge, shape (m,); farther points are not covered."""
         k = self._first
-        return self._spread(~self._on(self.surfaces.net.free)[k] | (self.places.distance[k] == 0.0), False)
+        return self._spread(~self._beyond_free[k] | (self.places.distance[k] == 0.0), False)
 
     def margin(self, reach: FloatArray) -> FloatArray:
         """Distance to the next free edge along the surface, negative beyond it.
@@ -288,7 +293,7 @@ class NearestOnSurfaces:
         there = reach[self.places.point[k]]
         margin = np.minimum(surfaces.from_ends(feet, there), there)
         beyond = -np.sqrt(np.einsum("pi,pi->p", along, along))
-        return self._spread(np.where(self._on(surfaces.net.free)[k], beyond, margin), -reach)
+        return self._spread(np.where(self._beyond_free[k], beyond, margin), -reach)
 
     def functions(self) -> sp.csr_matrix:
         """Hat functions of the points of the surfaces at the nearest places, the mean where several are equally near.

@@ -215,9 +215,11 @@ class PointLocator:
             self._comm.Allreduce(vertices, found, op=MPI.MAX)
             self._comm.Allreduce(values, total, op=MPI.SUM)
             vertices, values = found, total
-        names, columns = np.unique(vertices, return_inverse=True)
-        starts = np.arange(0, values.size + 1, values.shape[1])
-        return sp.csr_matrix((values.flatten(), columns.ravel(), starts), shape=(len(values), len(names)))
+        there = np.zeros(int(vertices.max(initial=-1)) + 2, dtype=bool)  # -1: outside the mesh
+        there[vertices + 1] = True
+        columns, starts = (np.cumsum(there) - 1)[vertices + 1], np.arange(0, values.size + 1, values.shape[1])
+        shape = len(values), int(np.count_nonzero(there))
+        return sp.csr_matrix((values.flatten(), columns.ravel(), starts), shape=shape)
 
 
 @dataclass(frozen=True, eq=False)
