@@ -220,8 +220,9 @@ class Enriching:
         the forces on the curve. The polygons inside of a sphere are smaller than it is: a pressure would be larger.
         """
         (E, areas), nodes, cells = meeting.penalty, meeting.seen, meeting.location.cells
-        E_t, values = E.T, phi[self.vertices[cells]]
-        spread = np.where(cells >= 0, values.max(axis=1) - values.min(axis=1), 0.0)
+        E_t, spread, mine = E.T, np.zeros(len(cells)), np.flatnonzero(cells >= 0)
+        values = phi[self.vertices[cells[mine]]]
+        spread[mine] = values.max(axis=1) - values.min(axis=1)
         for _ in range(CORRECTIONS):
             off = E @ phi[nodes]
             size = np.abs(off)

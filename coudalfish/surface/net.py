@@ -145,6 +145,11 @@ class Net:
         n = len(self.triangles)
         return np.column_stack([np.arange(n), n + self.edges, 4 * n + self.corners])
 
+    @cached_property
+    def count(self) -> int:
+        """More than any of these numbers."""
+        return int(self.numbers.max(initial=-1)) + 1
+
     @property
     def edge_places(self) -> IntArray:
         """Places at the ends of the edges, ascending, shape (edges, 2)."""

@@ -107,8 +107,8 @@ class Surfaces:
         several = np.flatnonzero(same[1:] | same[:-1])
         if not len(several):
             return order
-        places, numbers = order[several], self.net.numbers
-        keys = point[several] * (numbers.max() + 1) + numbers[near.triangle[places], near.kind[places]]
+        places = order[several]
+        keys = point[several] * self.net.count + self.net.numbers[near.triangle[places], near.kind[places]]
         kept = np.ones(len(order), dtype=bool)
         kept[several] = False
         kept[several[np.unique(keys, return_index=True)[1]]] = True
