@@ -94,7 +94,7 @@ class Valve:
         conditions = [inlet, Resistance("outlet", R) if R else Traction("outlet"), Velocity("walls")]
         known = {"rho": data.rho, "mu": data.mu, "dt": self.dt, "scheme": generalized_alpha(0.0)}
         fill = 2 if self.preset == "reference" else 1
-        solver = solver or two_level(fill, rtol=1e-5, rebuild_growth=1.5, fallback=direct())
+        solver = solver or two_level(fill, rtol=1e-5, rebuild_growth=float("inf"), fallback=direct())
         return Flow(mesh, conditions, **known, immersed=fields, options=FlowOptions(solver=solver))
 
     def leaflets(self, data: Data) -> Shell:

@@ -21,8 +21,8 @@ from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.fem import rounding
 from tigar_x.fem.carried import Rows
+from tigar_x.fem.carrying import Carrying
 from tigar_x.fem.divided import Doubled, pairs
-from tigar_x.fem.linear import PreparedSolver
 from tigar_x.fem.nodes import RowNodes
 from tigar_x.fem.solve import FiniteElementSystem
 
@@ -68,7 +68,7 @@ class DoubledSystem(FiniteElementSystem):
         self._free = np.ones((self._nodes, self._m))
         self._free.ravel()[self.constrained] = 0.0
         self._shape: tuple[Any, ...] | None = None
-        self._made: tuple[PreparedSolver, Any, Rows] | None = None  # whose preconditioner serves, and for which rows
+        self._carrying = Carrying(V.mesh.comm)
         self.divide(d.cells, d.second, d.side)
 
     # -- what is divided ----------------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class DoubledSystem(FiniteElementSystem):
         A, layout = self._matrix(names, rows), _Layout()
         self._lay_out(layout, A, A.createVecLeft())
         self._layout = layout
-        self._carry(side)
+        self._carrying.begin(self._solver, self._rows(side))
         self._present = self.b.duplicate()
         compat.freed_with(layout, self._present)
         self._block = self._small_matrix(layout)
@@ -171,27 +171,20 @@ class DoubledSystem(FiniteElementSystem):
 
     def preconditioner(self) -> PETSc.PC:
         """See there."""
-        self._note_rows()
+        self._fit()
         return super().preconditioner()
 
     def solve(self, reference: float | None = None) -> PETSc.Vec:
         """See there."""
-        self._note_rows()
+        self._fit()
         return super().solve(reference)
 
-    def _note_rows(self) -> None:
-        """Those for which a preconditioner is about to be made, where none is kept."""
-        if not self._solver.keeps:
-            side = self._doubled.side[: self._owned_nodes].copy()
-            self._made = self._solver, self._layout, Rows(self._m, self._doubles, side, self._doubled.jumps)
+    def _fit(self) -> None:
+        """Let a preconditioner that is kept follow the tangent."""
+        self._solver = self._carrying.fitted(self._solver, self._layout, self._rows(self._doubled.side), self.A)
 
-    def _carry(self, side: FloatArray) -> None:
-        """Begin with the preconditioner of former rows, if it serves."""
-        rows = Rows(self._m, self._doubles, side[: self._owned_nodes], self._doubled.jumps)
-        former, self._made = self._made, None
-        if former is not None and former[0].can_be_carried and rows.resemble(former[2], self._comm):
-            self._made = former
-            self._solver.carry(*former, rows)
+    def _rows(self, side: FloatArray) -> Rows:
+        return Rows(self._m, self._doubles, side[: self._owned_nodes].copy(), self._doubled.jumps)
 
     # -- fields -------------------------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.fem.carried import Carried, Rows
+from tigar_x.fem.keeping import Keeping
 from tigar_x.fem.nodes import RowNodes
 from tigar_x.fem.own_ksp import check_ranks, hand_over, tolerances_kept
 from tigar_x.fem.petsc_options import chosen, of_one_rank
@@ -77,13 +78,17 @@ class PreparedSolver:
         recipe: what to do.
         A: the matrix; its values may change between solves, its pattern may not.
         nodes: of its rows; None: nothing is known of them.
+        keeping: what is known of preconditioners of other matrices of the same system; None: nothing.
 
     Raises:
         ValueError: the recipe's own KSP lives on other ranks than the matrix, or a coarse level lacks nodes or blocks.
     """
 
-    def __init__(self, recipe: LinearSolver, A: PETSc.Mat, nodes: RowNodes | None = None) -> None:
+    def __init__(
+        self, recipe: LinearSolver, A: PETSc.Mat, nodes: RowNodes | None = None, keeping: Keeping | None = None
+    ) -> None:
         self.recipe = recipe
+        self._keeping = keeping or recipe.keeping()
         self._nodes = nodes
         if recipe.aggregates is not None and (nodes is None or "baij" not in A.getType()):
             raise ValueError(
@@ -101,7 +106,7 @@ class PreparedSolver:
         self._options = {self._prefix + key: value for key, value in options.items() if key not in recipe.overrides}
         if recipe.ksp is not None:
             check_ranks(recipe, A)
-        self._kept_iterations: int | None = None
+        self._has = False  # a preconditioner that is kept
         self._former: tuple[PreparedSolver, Carried] | None = None
         self._fallback: PreparedSolver | None = None
         self._residual: PETSc.Vec | None = None
@@ -192,7 +197,7 @@ class PreparedSolver:
             with self._table_of_options(), tolerances_kept(ksp):
                 self._set_tolerances(reference)
                 if self.recipe.ksp is None or self.recipe.rebuild_growth is not None:
-                    ksp.getPC().setReusePreconditioner(keep)
+                    ksp.getPC().setReusePreconditioner(keep and self._former is None)  # which follows the diagonal
                 ksp.solve(self._copy, x)
         except PETSc.Error as error:
             self._copy = None
@@ -243,6 +248,7 @@ class PreparedSolver:
 
     def destroy(self) -> None:
         """Free the factors, which petsc4py would keep (collective); the object is of no use afterwards."""
+        self._has = False
         self._discard()
         if self._fallback is not None:
             self._fallback.destroy()
@@ -264,7 +270,7 @@ class PreparedSolver:
                 hand_over(ksp, operator)
             with self._table_of_options():
                 if self.recipe.ksp is None or self.recipe.rebuild_growth is not None:
-                    self._pc.setReusePreconditioner(self.keeps)
+                    self._pc.setReusePreconditioner(self.keeps and self._former is None)
                 self._pc.setUp()
                 self._pc.setUpOnBlocks()
         except PETSc.Error as error:
@@ -276,7 +282,7 @@ class PreparedSolver:
     @property
     def keeps(self) -> bool:
         """Whether a preconditioner is kept that has been made for a former matrix."""
-        return self.recipe.rebuild_growth is not None and self._kept_iterations is not None
+        return self._has
 
     @property
     def can_be_carried(self) -> bool:
@@ -294,19 +300,23 @@ class PreparedSolver:
             now: rows of this one.
         """
         self._former = former, Carried(former._pc, owner, was, now)
-        self._kept_iterations = former._kept_iterations
+        self._has = former._has
+
+    def again(self) -> "PreparedSolver":
+        """Another one for the same matrix."""
+        return PreparedSolver(self.recipe, self._A, self._nodes, self._keeping)
 
     def served(self, iterations: float) -> None:
         """Take note of the iterations of a solve with :meth:`preconditioner`, infinitely many if it failed."""
-        growth, before = self.recipe.rebuild_growth, self._kept_iterations
-        if math.isinf(iterations) or (growth is not None and before is not None and iterations > growth * before + 2):
-            self._kept_iterations = None
-            if self._former is not None:
-                self._former[0].served(math.inf)
-                self._discard()
-                self._former = None
-        elif growth is None or before is None:
-            self._kept_iterations = int(iterations)
+        if self._keeping is None:
+            return
+        had, failed = self._has, math.isinf(iterations)
+        self._has = self._keeping.served(iterations) if had else not failed and self._keeping.made(iterations)
+        if had and not self._has and self._former is not None:
+            former = self._former[0]
+            self._discard()
+            self._former = None
+            former.destroy()  # before the new one needs memory
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, reference: float | None = None) -> int:
         """Solve ``A x = b``.

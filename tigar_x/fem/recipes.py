@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from petsc4py import PETSc
 
 from tigar_x import checks
+from tigar_x.fem.keeping import Keeping
 
 DEFAULT_RTOL = 1e-5
 """PETSc's tolerance where a recipe has none."""
@@ -18,6 +19,9 @@ LARGE = {2: 1_000_000, 3: 1_500_000}
 REPAIR = 3.0
 """Factor of weak couplings of pressures in the matrix that the smoother is made for; with 10, which needs as many
 iterations, a residual of the same size leaves ten times the error of these pressures."""
+
+SET_UP = {0: 9.0, 1: 14.0, 2: 28.0}
+"""Iterations that cost as much as new incomplete factors with or without a coarse level, by levels of fill."""
 
 
 class SolveError(RuntimeError):
@@ -34,7 +38,8 @@ class LinearSolver:
             is the method's own; the recipes below test that of the true residual.
         matrix: PETSc matrix type that the recipe wants for node-blocked systems, "aij" or "baij".
         rebuild_growth: keep a preconditioner while iterations stay below this factor times those after it was built;
-            None: rebuild it whenever the matrix changed.
+            ``math.inf``: as long as that pays, see :mod:`tigar_x.fem.keeping`; None: rebuild it whenever the matrix
+            changed.
         fallback: recipe to use when this one fails; None: fail.
         aggregates: nodes of an aggregate of the coarse level that goes before the preconditioner which the options
             describe, see :mod:`tigar_x.fem.two_level`; 0: by number of nodes; None: there is no coarse level.
@@ -85,8 +90,18 @@ class LinearSolver:
 
         Two levels of fill need none, and leave a tenth of the error of these pressures at the same residual then.
         """
-        levels = self.options.get("pc_factor_levels", self.options.get("sub_pc_factor_levels", 0))
-        return REPAIR if int(levels) < 2 else 1.0
+        return REPAIR if self._fill < 2 else 1.0
+
+    @property
+    def _fill(self) -> int:
+        """Levels of fill of incomplete factors."""
+        return int(self.options.get("pc_factor_levels", self.options.get("sub_pc_factor_levels", 0)))
+
+    def keeping(self) -> Keeping | None:
+        """Whether and how long preconditioners are kept; None: they are made anew whenever the matrix changed."""
+        if self.rebuild_growth is None:
+            return None
+        return Keeping(self.rebuild_growth, SET_UP[min(self._fill, max(SET_UP))])
 
     @property
     def rtol(self) -> float:

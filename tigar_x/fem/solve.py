@@ -79,7 +79,7 @@ class FiniteElementSystem:
         self.recipe = chosen(solver, direct(), prefix)
         self.constrained = compat.constrained_dofs(self.bcs)
         self.iterations = self.layout = 0
-        self._weak, self._floating = weak, constant is not None
+        self._weak, self._floating, self._keeping = weak, constant is not None, self.recipe.keeping()
         self._make(residual, ufl.derivative(residual, x) if tangent is None else tangent)
         self._null = None if constant is None else self._null_space(constant)
         self._low_rank = LowRank(rank_one, x.function_space, self.constrained) if rank_one else None
@@ -97,7 +97,8 @@ class FiniteElementSystem:
         """Take over a matrix and a vector, which are freed with their owner."""
         self.A, self.b, self._dx = A, b, b.duplicate()
         compat.freed_with(owner, A, b, self._dx)
-        self._solver = PreparedSolver(self.recipe, A, self.nodes_of_rows() if self.recipe.needs_nodes else None)
+        nodes = self.nodes_of_rows() if self.recipe.needs_nodes else None
+        self._solver = PreparedSolver(self.recipe, A, nodes, self._keeping)
         self._kept = KeptMatrix(A)
         self.has_tangent = False
         self.layout += 1
