@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tigar_x.fem.keeping import LONGEST, Keeping
+from tigar_x.fem.keeping import LONGEST, Keeping, part_of
 
 NEW, SET_UP = 13, 14.0
 
@@ -73,3 +73,21 @@ def test_a_solve_that_failed_ends_a_life():
         assert keeping.made(NEW)
         assert not keeping.served(math.inf)
         assert keeping.made(NEW) is next_one_is_kept
+
+
+def test_a_matrix_that_is_solved_with_again_saves_no_set_up():
+    """Of two solves a step with the same matrix only the first one counts, for lives and pauses."""
+    keeping, lives, kept = Keeping(math.inf, SET_UP), [], False
+    for step in range(40):
+        new, iterations = not kept, NEW if not kept else NEW + 20
+        for taken in (iterations, 0.6 * iterations):
+            kept = keeping.served(taken, step) if kept else keeping.made(taken, step)
+        lives.append(new)
+    assert lives.count(False) == 6  # of 40; between them 1, 2, 4, 8 and 16 are made that serve one step
+
+
+def test_iterations_of_a_small_reduction_count_as_those_of_a_whole_one():
+    assert part_of(1e-5, 1.0) == pytest.approx(1.0)
+    assert part_of(1e-5, 100.0) == pytest.approx(5 / 3)
+    assert part_of(1e-5, 1e9) == pytest.approx(math.log(1e5) / math.log(2.0))
+    assert part_of(0.0, 1.0) == 1.0

@@ -1,6 +1,7 @@
 """How long a preconditioner that ages serves, by counts alone: all ranks and equal runs decide alike."""
 
 import math
+from collections.abc import Hashable
 
 LONGEST = 16
 """Preconditioners in a row that serve one solve only, at most, after some that were kept in vain."""
@@ -23,19 +24,37 @@ class Keeping:
         self._growth, self._set_up = growth, set_up
         self._new, self._more, self._solves = 0.0, 0.0, 0
         self._pause, self._left = 0, 0
+        self._made: Hashable = None
+        self._last: Hashable = None
 
-    def made(self, iterations: float) -> bool:
-        """Take note of the first solve with a new one: whether that is to be kept."""
+    def made(self, iterations: float, matrix: Hashable = None) -> bool:
+        """Take note of the first solve with a new one: whether that is to be kept.
+
+        Args:
+            iterations: of the solve.
+            matrix: names what was solved with and its values; None: they are others than in the solve before.
+        """
+        if matrix is not None and matrix == self._made:  # it is not a new one
+            return False
+        self._made = self._last = matrix
         self._new, self._more, self._solves = iterations, 0.0, 1
         if self._left > 0:
             self._left -= 1
             return False
         return True
 
-    def served(self, iterations: float) -> bool:
-        """Take note of a later solve, infinitely many iterations if it failed: whether it is to be kept on."""
+    def served(self, iterations: float, matrix: Hashable = None) -> bool:
+        """Take note of a later solve: whether the preconditioner is to be kept on.
+
+        Args:
+            iterations: infinitely many if it failed.
+            matrix: as above; where values are the same as in the solve before, no set-up was saved.
+        """
+        same, self._last = matrix is not None and matrix == self._last, matrix
         if not math.isinf(self._growth):
             return iterations <= self._growth * self._new + 2
+        if same:
+            return not math.isinf(iterations)
         more = max(iterations - self._new, 0.0)
         self._more, self._solves = self._more + more, self._solves + 1
         serves = not math.isinf(more) and self._solves * more <= self._set_up + self._more
@@ -43,3 +62,13 @@ class Keeping:
             in_vain = self._more > self._set_up * (self._solves - 1)
             self._left = self._pause = min(max(2 * self._pause, 1), LONGEST) if in_vain else 0
         return serves
+
+
+def part_of(rtol: float, reference: float) -> float:
+    """What iterations are multiplied by to be those of a reduction by ``rtol``.
+
+    Args:
+        rtol: reduction of the residual relative to a reference.
+        reference: the latter, relative to the norm of the right-hand side.
+    """
+    return math.log(rtol) / math.log(min(rtol * reference, 0.5)) if 0.0 < rtol < 1.0 else 1.0

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.fem.carried import Carried, Rows
-from tigar_x.fem.keeping import Keeping
+from tigar_x.fem.keeping import Keeping, part_of
 from tigar_x.fem.nodes import RowNodes
 from tigar_x.fem.own_ksp import check_ranks, hand_over, tolerances_kept
 from tigar_x.fem.petsc_options import chosen, of_one_rank
@@ -310,8 +310,9 @@ class PreparedSolver:
         """Take note of the iterations of a solve with :meth:`preconditioner`, infinitely many if it failed."""
         if self._keeping is None:
             return
-        had, failed = self._has, math.isinf(iterations)
-        self._has = self._keeping.served(iterations) if had else not failed and self._keeping.made(iterations)
+        had, failed, keeping = self._has, math.isinf(iterations), self._keeping
+        matrix = self._A.handle, self._A.stateGet()
+        self._has = keeping.served(iterations, matrix) if had else not failed and keeping.made(iterations, matrix)
         if had and not self._has and self._former is not None:
             former = self._former[0]
             self._discard()
@@ -334,7 +335,8 @@ class PreparedSolver:
         """
         keep = self.keeps
         cause, iterations = self._attempt(b, x, reference, keep)
-        self.served(math.inf if cause else iterations)
+        taken = iterations if reference is None else iterations * part_of(self.rtol, reference / max(b.norm(), 1e-300))
+        self.served(math.inf if cause else taken)
         if keep and cause:
             return self.solve(b, x, reference)
         if not cause:
