@@ -25,6 +25,15 @@ def test_choice_by_size_dimension_and_use():
     assert automatic(5000, blocked=True, dimension=3).fallback.name == "multigrid"
 
 
+def test_multigrid_on_ranks_coarsens_by_the_nearest_nodes_in_the_plane():
+    def levels(dimension, ranks):
+        recipe = automatic(LARGE[2], blocked=True, dimension=dimension, ranks=ranks)
+        return recipe.options["pc_gamg_aggressive_coarsening"]
+
+    assert [levels(2, 1), levels(2, 2)] == [1, 0]
+    assert automatic(LARGE[3], blocked=True, dimension=3, ranks=2).options["pc_gamg_aggressive_coarsening"] == 1
+
+
 @pytest.mark.mpi
 def test_multigrid_keeps_its_options_when_the_matrix_changes():
     """Its smoothers are set up again with every tangent; counts would rise without their options."""
@@ -48,19 +57,25 @@ def test_multigrid_keeps_its_options_when_the_matrix_changes():
 CUT_MANY_WAYS = """
 from test_flow_solvers import CAVITY, multigrid
 counts = []
-for _ in range(20):  # each mesh is cut into other parts
-    flow = CAVITY.build(40, 1, solver=multigrid(rtol=1e-6))
+for _ in range({cuts}):  # each mesh is cut into other parts
+    flow = CAVITY.build({n}, 1, solver=multigrid(rtol=1e-6, aggressive={aggressive}))
     flow.system.assemble_residual()
     flow.system.assemble_tangent()
     flow.system.solve()
     counts.append(flow.system.iterations)
-assert len(set(counts)) > 1 and max(counts) < 20, counts
+assert len(set(counts)) > 1 and max(counts) < {most}, counts
 """
 
 
 def test_multigrid_bears_the_pressure_of_an_enclosed_flow_on_any_partition():
     """The coarsest level is singular: with plain factors a third of these solves need 200 iterations and MUMPS."""
-    done = mpirun(3, "-c", CUT_MANY_WAYS)
+    done = mpirun(3, "-c", CUT_MANY_WAYS.format(cuts=20, n=40, aggressive=1, most=20))
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_multigrid_that_is_not_aggressive_needs_few_iterations_on_any_partition():
+    """Aggressive, it is 8 on one rank, and 7 to 14 on two."""
+    done = mpirun(2, "-c", CUT_MANY_WAYS.format(cuts=6, n=96, aggressive=0, most=10))
     assert done.returncode == 0, done.stderr[-2000:]
 
 

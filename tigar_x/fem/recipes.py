@@ -231,7 +231,9 @@ def gmres_sor(*, rtol: float = 1e-8, max_iterations: int = 100, fallback: Linear
     return LinearSolver("gmres_sor", options, "baij", None, direct() if fallback is None else fallback)
 
 
-def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: LinearSolver | None = None) -> LinearSolver:
+def multigrid(
+    *, rtol: float = 1e-8, max_iterations: int = 200, aggressive: int = 1, fallback: LinearSolver | None = None
+) -> LinearSolver:
     """Flexible GMRES with algebraic multigrid of smoothed aggregation on whole nodes (PETSc's GAMG).
 
     Two steps of GMRES with incomplete LU smooth the levels, one overlapping block a rank; MUMPS solves the coarsest,
@@ -243,6 +245,8 @@ def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: Linear
     Args:
         rtol: reduction of the true residual's norm.
         max_iterations: iterations after which the solve has failed; GMRES is not restarted before.
+        aggressive: levels whose aggregates reach two nodes far. Without any, iterations in the plane do not depend on
+            how the mesh is cut into the parts of ranks; each costs more.
         fallback: recipe to use when it fails; None: MUMPS.
 
     Returns:
@@ -256,7 +260,7 @@ def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: Linear
         "pc_type": "gamg",
         "pc_gamg_agg_nsmooths": 1,
         "pc_gamg_threshold": 0.0,
-        "pc_gamg_aggressive_coarsening": 1,
+        "pc_gamg_aggressive_coarsening": checks.whole("aggressive", aggressive, 0),
         "pc_gamg_coarse_eq_limit": 20_000,
         "mg_levels_ksp_type": "gmres",
         "mg_levels_ksp_max_it": 2,
@@ -274,9 +278,15 @@ def multigrid(*, rtol: float = 1e-8, max_iterations: int = 200, fallback: Linear
 
 
 def automatic(
-    unknowns: int, *, blocked: bool, dimension: int | None = None, kept: bool = False, rtol: float = 1e-8
+    unknowns: int,
+    *,
+    blocked: bool,
+    dimension: int | None = None,
+    kept: bool = False,
+    rtol: float = 1e-8,
+    ranks: int = 1,
 ) -> LinearSolver:
-    """Recipe by size and layout: MUMPS for small or mixed systems, GMRES with block ILU(1) for others.
+    """Recipe by size, layout and ranks: MUMPS for small or mixed systems, GMRES with block ILU(1) for others.
 
     In the plane MUMPS is faster than GMRES with ILU from ``MEDIUM`` unknowns on, or from the start where factors are
     kept from step to step; beyond ``LARGE`` multigrid takes less time or memory. An immersed surface makes the system
@@ -289,6 +299,7 @@ def automatic(
         dimension: of space, for a flow without an immersed surface; None: another system.
         kept: whether the matrix and its factors serve several steps.
         rtol: of iterative solvers.
+        ranks: of the system; in the plane multigrid has no aggressive coarsening on several.
 
     Returns:
         The recipe.
@@ -297,7 +308,7 @@ def automatic(
     if not blocked or size < SMALL:
         return direct()
     if dimension is not None and size >= LARGE[dimension]:
-        return multigrid(rtol=rtol)
+        return multigrid(rtol=rtol, aggressive=int(dimension == 3 or ranks == 1))
     if dimension == 2 and (kept or size >= MEDIUM):
         return direct()
     return gmres_ilu(1, rtol=rtol, fallback=multigrid(rtol=rtol) if dimension == 3 else None)

@@ -219,7 +219,8 @@ class Flow(checks.Made):
         dimension = None if self.is_immersed else int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
-        default = automatic(self.unknowns, blocked=True, dimension=dimension, kept=kept, rtol=rtol)
+        known = {"dimension": dimension, "kept": kept, "ranks": self.mesh.domain.comm.size}
+        default = automatic(self.unknowns, blocked=True, rtol=rtol, **known)
         return chosen(self.options.solver, default, PREFIX)
 
     @property
