@@ -7,6 +7,7 @@ from mpi_runs import mpirun
 
 from tigar_x import compat
 from tigar_x.fem.linear import LARGE, MEDIUM, automatic, direct, gmres_ilu, multigrid
+from tigar_x.fem.recipes import IMMERSED
 
 CAVITY, VORTEX = load_demo("lid_driven_cavity"), load_demo("taylor_green")
 
@@ -23,6 +24,14 @@ def test_choice_by_size_dimension_and_use():
     assert automatic(LARGE[3], blocked=False).name == "direct(mumps)"
     assert automatic(5000, blocked=True, dimension=3, rtol=1e-3).options["ksp_rtol"] == 1e-3
     assert automatic(5000, blocked=True, dimension=3).fallback.name == "multigrid"
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_large_flows_around_a_surface_have_a_coarse_level(dimension):
+    size = IMMERSED[dimension]
+    assert automatic(size - 1, blocked=True, immersed=dimension).name == "gmres_ilu(1)"
+    assert automatic(size, blocked=True, immersed=dimension, rtol=1e-4).name == "two_level(1)"
+    assert automatic(size, blocked=True).name == "gmres_ilu(1)"
 
 
 def test_multigrid_on_ranks_coarsens_by_the_nearest_nodes_in_the_plane():

@@ -123,7 +123,7 @@ class FluidSubproblem:
 
     def _recipe(self, unknowns: int, *, blocked: bool) -> LinearSolver:
         """Linear solver where the user has chosen none."""
-        return automatic(unknowns, blocked=blocked)
+        return automatic(unknowns, blocked=blocked, immersed=self.mesh.geometry.dim)
 
     def _make_system(self, residual: ufl.Form, bcs: Sequence[Any], **options: Any) -> FiniteElementSystem:
         return FiniteElementSystem(residual, self.timeInt.x, bcs, **options)

@@ -16,6 +16,9 @@ MEDIUM = 30_000
 """Unknowns of a stabilised flow in the plane from which on MUMPS takes less time than GMRES with ILU(1)."""
 LARGE = {2: 1_000_000, 3: 1_500_000}
 """Unknowns of a stabilised flow from which on multigrid takes no more time, and half the memory, by dimension."""
+IMMERSED = {2: 100_000, 3: 20_000}
+"""Unknowns of a stabilised flow around an immersed surface from which on ILU(1) takes less time after a coarse level,
+by dimension."""
 REPAIR = 3.0
 """Factor of weak couplings of pressures in the matrix that the smoother is made for; with 10, which needs as many
 iterations, a residual of the same size leaves ten times the error of these pressures."""
@@ -282,6 +285,7 @@ def automatic(
     *,
     blocked: bool,
     dimension: int | None = None,
+    immersed: int | None = None,
     kept: bool = False,
     rtol: float = 1e-8,
     ranks: int = 1,
@@ -290,13 +294,14 @@ def automatic(
 
     In the plane MUMPS is faster than GMRES with ILU from ``MEDIUM`` unknowns on, or from the start where factors are
     kept from step to step; beyond ``LARGE`` multigrid takes less time or memory. An immersed surface makes the system
-    of a flow another one: its dimension is then not given.
+    of a flow another one: from ``IMMERSED`` unknowns on a coarse level goes before ILU(1).
 
     Args:
         unknowns: global number of unknowns.
         blocked: whether all components live at the same nodes, as in a stabilised equal-order flow; a mixed system may
             have zeros on its diagonal, which incomplete factors do not bear.
         dimension: of space, for a flow without an immersed surface; None: another system.
+        immersed: dimension of space, for a flow around an immersed surface; None: another system.
         kept: whether the matrix and its factors serve several steps.
         rtol: of iterative solvers.
         ranks: of the system; in the plane multigrid has no aggressive coarsening on several.
@@ -311,4 +316,6 @@ def automatic(
         return multigrid(rtol=rtol, aggressive=int(dimension == 3 or ranks == 1))
     if dimension == 2 and (kept or size >= MEDIUM):
         return direct()
+    if immersed is not None and size >= IMMERSED[immersed]:
+        return two_level(1, rtol=rtol)
     return gmres_ilu(1, rtol=rtol, fallback=multigrid(rtol=rtol) if dimension == 3 else None)

@@ -216,11 +216,11 @@ class Flow(checks.Made):
     @cached_property
     def recipe(self) -> LinearSolver:
         """Linear solver recipe, as PETSc's options with the prefix ``fluid_`` change it."""
-        dimension = None if self.is_immersed else int(self.mesh.domain.geometry.dim)
+        dimension = int(self.mesh.domain.geometry.dim)
         kept = self.time is not None and self.options.keep is not None
         rtol = STEADY_LINEAR_RTOL if self.time is None else STEP_LINEAR_RTOL
-        known = {"dimension": dimension, "kept": kept, "ranks": self.mesh.domain.comm.size}
-        default = automatic(self.unknowns, blocked=True, rtol=rtol, **known)
+        known = {"immersed" if self.is_immersed else "dimension": dimension, "ranks": self.mesh.domain.comm.size}
+        default = automatic(self.unknowns, blocked=True, kept=kept, rtol=rtol, **known)
         return chosen(self.options.solver, default, PREFIX)
 
     @property
