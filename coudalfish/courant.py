@@ -14,13 +14,11 @@ import numpy as np
 from mpi4py import MPI
 
 from coudalfish.sides.fluid import FluidSubproblem
+from coudalfish.step.watch import CLOSING_LIMIT
 from tigar_x import checks, compat
 
 AGAIN = 0.8
 """Part of a limit that twice the present step may reach, so that sizes do not go to and fro."""
-APPROACH = 0.3
-"""Approach of two points in a step, relative to the range of contact, from which on the run warns that surfaces may
-pass each other."""
 SAME_TIME = 1e-6
 """Part of a step by which the time may be beside a multiple of it."""
 
@@ -64,7 +62,7 @@ class CourantSteps:
         shell, size = self._fsi.shell, self._fsi.fluid.mesh_size
         found = {"flow": self._flow_rate() * dt / self._flow}
         found["shell"] = float(np.linalg.norm(shell.velocity(), axis=1).max(initial=0.0)) * dt / (size * self._shell)
-        found["contact"] = shell.closing_ratio() / shell.timeInt.step_size * dt / APPROACH
+        found["contact"] = shell.closing_ratio() / shell.timeInt.step_size * dt / CLOSING_LIMIT
         return found
 
     def _flow_rate(self) -> float:

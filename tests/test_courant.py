@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_following_band import DATA, membrane, membrane_flow, square
 
-from coudalfish.courant import AGAIN, APPROACH, CourantSteps
+from coudalfish.courant import AGAIN, CourantSteps
+from coudalfish.step.watch import CLOSING_LIMIT
 from tigar_x import compat
 
 
@@ -82,7 +83,7 @@ def test_no_step_is_smaller_than_the_last_halving(clockwork):
 
 
 def test_points_that_may_touch_count(clockwork):
-    clockwork.closing = 3.0 * APPROACH
+    clockwork.closing = 3.0 * CLOSING_LIMIT
     assert taken(clockwork, CourantSteps(clockwork, 1.0), [0.0]) == [0.25]
 
 
