@@ -10,7 +10,7 @@ from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
-from coudalfish.surface.triangles import cross_products
+from tigar_x.fem.simplices import cross_products
 
 RNG = np.random.default_rng(11)
 

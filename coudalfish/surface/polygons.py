@@ -13,10 +13,9 @@ import scipy.sparse as sp
 
 from coudalfish.surface.cut_cells import CutCells, rule
 from coudalfish.surface.interface import Sought
-from coudalfish.surface.triangles import cross_products
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
-from tigar_x.fem.simplices import Parts
+from tigar_x.fem.simplices import Parts, cross_products
 
 if TYPE_CHECKING:
     from coudalfish.surface.surfaces import Surfaces

@@ -15,9 +15,10 @@ import scipy.sparse as sp
 from coudalfish.surface.boxes import CORNER, EDGE, Boxes, NearPlaces
 from coudalfish.surface.interface import Sought
 from coudalfish.surface.net import OPPOSITE, Ending, Net
-from coudalfish.surface.triangles import Triangles, cross_products
+from coudalfish.surface.triangles import Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem.simplices import cross_products
 
 
 @dataclass(frozen=True, eq=False)
