@@ -90,4 +90,4 @@ def test_iterations_of_a_small_reduction_count_as_those_of_a_whole_one():
     assert part_of(1e-5, 1.0) == pytest.approx(1.0)
     assert part_of(1e-5, 100.0) == pytest.approx(5 / 3)
     assert part_of(1e-5, 1e9) == pytest.approx(math.log(1e5) / math.log(2.0))
-    assert part_of(0.0, 1.0) == 1.0
+    assert part_of(0.0, 1.0) == part_of(1e-5, 0.0) == part_of(1e-300, 1e-300) == 1.0

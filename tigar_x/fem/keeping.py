@@ -71,4 +71,5 @@ def part_of(rtol: float, reference: float) -> float:
         rtol: reduction of the residual relative to a reference.
         reference: the latter, relative to the norm of the right-hand side.
     """
-    return math.log(rtol) / math.log(min(rtol * reference, 0.5)) if 0.0 < rtol < 1.0 else 1.0
+    reduction = rtol * reference
+    return math.log(rtol) / math.log(min(reduction, 0.5)) if 0.0 < rtol < 1.0 and reduction > 0.0 else 1.0
