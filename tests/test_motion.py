@@ -323,8 +323,9 @@ def test_small_cells_are_deformed_less_where_they_are_stiffer():
     """And cells that are compressed as well."""
     sizes = [shrunk(0.15, size_stiffening=b) for b in (0.0, 1.0, 2.0)]
     assert sizes[0] < sizes[1] - 0.02
-    powers = [shrunk(0.15, size_stiffening=0.0, stiffening=a) for a in (0.0, 3.0)]
-    assert powers[0] < powers[1] - 0.01
+    # with an exponent of 0 cells are inside out, and whether a balance is found hangs on rounding
+    powers = [shrunk(0.1, size_stiffening=0.0, stiffening=a) for a in (1.0, 3.0)]
+    assert powers[0] < powers[1] - 0.1
 
 
 def test_size_stiffening_does_not_see_the_unit_of_length():
