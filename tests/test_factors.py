@@ -114,13 +114,15 @@ def test_a_layout_serves_again_where_the_same_entries_are_zero_and_changes_no_bi
     A = two_parts_and_held_rows() if not wide else symmetric(180, 20, 11) + 60.0 * np.eye(180)
     former, b = Factors(stored(A)), np.random.default_rng(12).standard_normal((180, 3))
     B = A * (1.0 + 0.1 * (A + A.T))
-    again, anew = Factors(stored(B), like=former), Factors(stored(B))
-    assert again._layout is former._layout is not anew._layout
+    again, anew = Factors(stored(B), like=former.layout), Factors(stored(B))
+    assert again.layout is former.layout is not anew.layout
     np.testing.assert_array_equal(again.solve(b), anew.solve(b))
     B[0, 2] = B[2, 0] = 0.0
-    assert Factors(stored(B), like=again)._layout is not again._layout
-    assert Factors(sp.csr_matrix(B), like=again)._layout is not again._layout
-    np.testing.assert_allclose(Factors(stored(B), like=again).solve(b), np.linalg.solve(B, b), rtol=1e-8, atol=1e-8)
+    assert Factors(stored(B), like=again.layout).layout is not again.layout
+    assert Factors(sp.csr_matrix(B), like=again.layout).layout is not again.layout
+    np.testing.assert_allclose(
+        Factors(stored(B), like=again.layout).solve(b), np.linalg.solve(B, b), rtol=1e-8, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("row", [0, 150])

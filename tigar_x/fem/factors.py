@@ -44,18 +44,20 @@ class Factors:
     Args:
         A: the matrix.
         comm: ranks that have the same matrix and share its parts, so that solves are collective; None: there are none.
-        like: those of a former matrix, whose layout serves again where the same entries are zero.
+        like: the layout of a former matrix's, which serves again where the same entries are zero.
+
+    Attributes:
+        layout: parts and bands.
 
     Raises:
         SolveError: it is singular.
     """
 
-    def __init__(self, A: sp.csr_matrix, comm: MPI.Comm | None = None, like: "Factors | None" = None) -> None:
+    def __init__(self, A: sp.csr_matrix, comm: MPI.Comm | None = None, like: "Layout | None" = None) -> None:
         stored = A.data != 0.0
-        layout = None if like is None else like._layout
-        self._layout: _Layout = layout if layout is not None and layout.suits(A, stored) else _Layout(A, stored)
+        self.layout = like if like is not None and like.suits(A, stored) else Layout(A, stored)
         self._parts: list[tuple[IntArray, _Inverse]] = []
-        self._comm = comm if len(self._layout.large) > 1 else None
+        self._comm = comm if len(self.layout.large) > 1 else None
         if self._comm is None:
             self._factor(A, 0, 1)
         else:
@@ -64,7 +66,7 @@ class Factors:
 
     def _factor(self, A: sp.csr_matrix, rank: int, number: int) -> FloatArray:
         """Factor the parts that are of a rank."""
-        layout = self._layout
+        layout = self.layout
         mine = _shares(layout.sizes, number) == rank
         alone = layout.alone[mine[layout.part[layout.alone]]]
         self._parts.append((alone, _Diagonal.of(A.diagonal()[alone])))
@@ -104,7 +106,7 @@ def _shares(sizes: IntArray, number: int) -> IntArray:
     return owner.astype(np.int32)
 
 
-class _Layout:
+class Layout:
     """Parts of a matrix, and where its entries are in their bands; it hangs on which of the entries are zero alone.
 
     Args:

@@ -17,7 +17,7 @@ from tigar_x.fem.extracted import Extracted
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen, direct
 
 if TYPE_CHECKING:
-    from tigar_x.fem.factors import Factors
+    from tigar_x.fem.factors import Factors, Layout
     from tigar_x.splines.part import Part
 
 
@@ -81,7 +81,7 @@ class SplineSystem:
         self._recipe = chosen(solver, direct(), prefix)
         self._solver: PreparedSolver | None = None
         self._factors: Factors | None = None
-        self._former: Factors | None = None
+        self._layout: Layout | None = None  # of factors
         self._part: Part | None = None
         self._by_factors, self.iterations = False, 0
 
@@ -248,7 +248,7 @@ class SplineSystem:
         elif self._A is not self._own:
             self._bind(self._own)
         self.A.zeroRowsColumns(self._zero, diag=1.0)
-        self._factors, self._former = None, self._factors or self._former
+        self._factors = None
 
     def _refuse_empty_rows(self, A: PETSc.Mat) -> None:
         """PETSc can put no one on a diagonal that is not stored, and would stop one rank only."""
@@ -320,7 +320,8 @@ class SplineSystem:
             indptr, columns, values = self.A.getValuesCSR()
             comm = None if self._part is None else self._part.comm
             A = sp.csr_matrix((values, columns, indptr), shape=self.A.size)
-            self._factors = Factors(A, comm, like=self._former)
+            self._factors = Factors(A, comm, like=self._layout)
+            self._layout = self._factors.layout
         return self._factors.solve(load)
 
     def add(self, u: fem.Function, increment: PETSc.Vec, factor: float = 1.0) -> None:
