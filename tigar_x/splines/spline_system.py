@@ -317,9 +317,8 @@ class SplineSystem:
         if self._factors is None:
             from tigar_x.fem.factors import Factors  # few systems are asked for this
 
-            indptr, columns, values = self.A.getValuesCSR()
             comm = None if self._part is None else self._part.comm
-            A = sp.csr_matrix((values, columns, indptr), shape=self.A.size)
+            A = sp.csr_matrix(self.A.getValuesCSR()[::-1], shape=self.A.size)  # entries, columns, starts of rows
             self._factors = Factors(A, comm, like=self._layout)
             self._layout = self._factors.layout
         return self._factors.solve(load)
