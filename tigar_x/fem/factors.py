@@ -53,9 +53,9 @@ class Factors:
         SolveError: it is singular.
     """
 
-    def __init__(self, A: sp.csr_matrix, comm: MPI.Comm | None = None, like: "Layout | None" = None) -> None:
+    def __init__(self, A: sp.csr_matrix, comm: MPI.Comm | None = None, like: "BandLayout | None" = None) -> None:
         stored = A.data != 0.0
-        self.layout = like if like is not None and like.suits(A, stored) else Layout(A, stored)
+        self.layout = like if like is not None and like.suits(A, stored) else BandLayout(A, stored)
         self._parts: list[tuple[IntArray, _Inverse]] = []
         self._comm = comm if len(self.layout.large) > 1 else None
         if self._comm is None:
@@ -106,7 +106,7 @@ def _shares(sizes: IntArray, number: int) -> IntArray:
     return owner.astype(np.int32)
 
 
-class Layout:
+class BandLayout:
     """Parts of a matrix, and where its entries are in their bands; it hangs on which of the entries are zero alone.
 
     Args:

@@ -17,7 +17,7 @@ from tigar_x.fem.extracted import Extracted
 from tigar_x.fem.linear import LinearSolver, PreparedSolver, SolveError, chosen, direct
 
 if TYPE_CHECKING:
-    from tigar_x.fem.factors import Factors, Layout
+    from tigar_x.fem.factors import BandLayout, Factors
     from tigar_x.splines.part import Part
 
 
@@ -81,7 +81,7 @@ class SplineSystem:
         self._recipe = chosen(solver, direct(), prefix)
         self._solver: PreparedSolver | None = None
         self._factors: Factors | None = None
-        self._layout: Layout | None = None  # of factors
+        self._layout: BandLayout | None = None  # of factors
         self._part: Part | None = None
         self._by_factors, self.iterations = False, 0
 
