@@ -7,6 +7,7 @@ from mpi4py import MPI
 from dolfinx import fem
 
 from tigar_x import compat
+from tigar_x.compat import algebra
 from varmint.mesh.named import box
 
 pytestmark = pytest.mark.mpi
@@ -75,6 +76,48 @@ def test_parts_sum_to_the_whole_and_compile_nothing():
     assert A.norm() > 0.1
     B.axpy(-1.0, A)
     assert B.norm() < 1e-14
+
+
+@pytest.mark.parametrize("kind", ["aij", "baij"])
+def test_tangents_of_several_ranks_are_those_of_all_cells(kind):
+    """Cells inside of a rank go into its own block, beside what is there, and prescribed rows have ones alone."""
+    domain, _, u, _, cells, facets = scene()
+    V, tangent = u.function_space, compat.PartialForm(ufl.derivative(cells + facets, u))
+    bcs = [compat.fixed_nodes(V, compat.nodes_on_facets(V, compat.exterior_facets(domain)))]
+    whole, parts = (compat.create_matrix(tangent.whole, kind) for _ in range(2))
+    split = tangent.on(np.ones(len(middles(domain)), dtype=bool))
+    for _ in range(2):  # the second time with a pattern that is there
+        for A, form in ((whole, tangent.whole), (parts, split)):
+            compat.assemble_matrix(A, form, bcs)
+            A.assemble()
+        assert whole.norm() > 0.1
+        difference = parts.copy()
+        difference.axpy(-1.0, whole)
+        assert difference.norm() < 1e-14
+
+
+def test_cells_inside_of_a_rank_send_nothing(monkeypatch):
+    """They are inserted into a matrix of this rank alone, and cells at the border of others are summed before."""
+    domain, _, u, _, cells, _ = scene()
+    V, comm = u.function_space, domain.comm
+    form = compat.PartialForm(ufl.derivative(cells, u)).on(np.ones(len(middles(domain)), dtype=bool))
+    A = compat.create_matrix(compat.PartialForm(ufl.derivative(cells, u)).whole, "baij")
+    compat.assemble_matrix(A, form)
+    A.assemble()
+    if comm.size == 1:
+        assert not isinstance(form, compat.SplitForm)
+        return
+    inside = int((compat.cell_dofs(V)[: compat.owned_cells(domain)] < V.dofmap.index_map.size_local).all(axis=1).sum())
+    assert 0 < comm.allreduce(inside) < comm.allreduce(compat.owned_cells(domain))
+    into, assemble = [], algebra.petsc.assemble_matrix
+
+    def noted(matrix, part, *rest):
+        into.append((matrix.comm.size, part))
+        return assemble(matrix, part, *rest)
+
+    monkeypatch.setattr(algebra.petsc, "assemble_matrix", noted)
+    compat.add_matrix(A, form)
+    assert into == [(1, form.inside), (1, form.border)]
 
 
 def test_what_cannot_be_confined_is_refused():

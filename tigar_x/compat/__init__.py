@@ -7,6 +7,7 @@ run it.
 """
 
 from tigar_x.compat.algebra import (
+    SplitForm,
     accumulate,
     add_ghosts,
     add_matrix,
@@ -87,6 +88,7 @@ __all__ = [
     "cache_folder",
     "compiled_forms",
     "PartialForm",
+    "SplitForm",
     "partial_forms",
     "compile_cpu_seconds",
     "compile_forms",

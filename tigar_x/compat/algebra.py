@@ -12,6 +12,7 @@ from dolfinx.fem import petsc
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from tigar_x.compat.blocks import block_pattern, block_values
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import component_space, component_view
 
@@ -151,7 +152,7 @@ def assemble_vector(b: PETSc.Vec, form: Any) -> None:
 def assemble_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
     """Overwrite ``A`` by the assembled form with unit rows at the dofs of ``bcs``; assembly is not finished."""
     A.zeroEntries()
-    petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
+    add_matrix(A, form, bcs)
 
 
 def add_vector(b: FloatArray, form: Any) -> None:
@@ -161,7 +162,85 @@ def add_vector(b: FloatArray, form: Any) -> None:
 
 def add_matrix(A: PETSc.Mat, form: Any, bcs: Sequence[Any] = ()) -> None:
     """Add an assembled form to ``A`` but for rows and columns of ``bcs``, which get ones; assembly is not finished."""
-    petsc.assemble_matrix(A, form, list(bcs))  # type: ignore[arg-type]
+    if isinstance(form, SplitForm):
+        form.add_to(A, list(bcs))
+    else:
+        _assemble(A, form, list(bcs), 1.0)
+
+
+def _assemble(A: PETSc.Mat, form: Any, bcs: list[Any], diagonal: float) -> None:
+    petsc.assemble_matrix(A, form, bcs, diagonal)  # type: ignore[arg-type]
+
+
+class SplitForm:
+    """A bilinear form on several ranks, in cells whose nodes are all this rank's and in those at the border of others.
+
+    PETSc looks up every block that goes into a matrix of several ranks, and sends those of rows of other ranks one by
+    one. So what is inside goes into the rows and columns of this rank, and what is at the border is summed before.
+
+    Args:
+        inside: compiled form in the former.
+        border: the same in the latter.
+        nodes: local nodes of these, shape (cells, nodes of a cell).
+    """
+
+    def __init__(self, inside: Any, border: Any, nodes: IntArray) -> None:
+        self.inside, self.border = inside, border
+        self._nodes, compact = np.unique(nodes, return_inverse=True)
+        self._cells = compact.reshape(nodes.shape)
+        self._sums: PETSc.Mat | None = None
+
+    def add_to(self, A: PETSc.Mat, bcs: list[Any]) -> None:
+        """See :func:`add_matrix`."""
+        if A.comm.size == 1:
+            for form in (self.inside, self.border):
+                _assemble(A, form, bcs, 1.0)
+            return
+        _assemble(_own_block(A), self.inside, bcs, 1.0)
+        if not len(self._nodes):
+            return
+        if self._sums is None:
+            self._sums = self._matrix(A.getLGMap()[0])
+        self._sums.zeroEntries()
+        _assemble(self._sums, self.border, bcs, 0.0)  # the ones are there
+        self._sums.assemble()
+        pattern, (values,) = block_pattern(self._sums), block_values(self._sums)
+        starts = np.searchsorted(pattern.rows, np.arange(len(self._nodes) + 1)).astype(PETSc.IntType)
+        columns, rows = (self._nodes[i].astype(PETSc.IntType) for i in (pattern.columns, np.arange(len(self._nodes))))
+        blocks = np.ascontiguousarray(values.transpose(0, 2, 1))
+        A.setValuesBlockedLocalIJV(starts, columns, blocks, PETSc.InsertMode.ADD_VALUES, rowmap=rows)
+
+    def _matrix(self, numbers: PETSc.LGMap) -> PETSc.Mat:
+        """An empty one of the nodes at the border, which takes local numbers of the dofs."""
+        size, n, cells = numbers.getBlockSize(), len(self._nodes), self._cells
+        starts = np.arange(0, cells.size + 1, cells.shape[1])
+        of_cells = sp.csr_matrix((np.ones(cells.size, dtype=np.int32), cells.ravel(), starts), (len(cells), n))
+        A = PETSc.Mat().create(comm=MPI.COMM_SELF)
+        A.setSizes((n * size, n * size))
+        A.setType("baij")
+        A.setBlockSize(size)
+        A.setPreallocationNNZ(np.diff((of_cells.T @ of_cells).tocsr().indptr).astype(PETSc.IntType))
+        names = np.full(numbers.getSize() // size, -1, dtype=PETSc.IntType)
+        names[self._nodes] = np.arange(n)
+        _number(A, names, size)
+        freed_with(self, A)
+        return A
+
+
+def _own_block(A: PETSc.Mat) -> PETSc.Mat:
+    """Rows and columns of this rank, which take the same local numbers as the matrix does."""
+    block, numbers = A.getDiagonalBlock(), A.getLGMap()[0]
+    names, size = numbers.getBlockIndices(), numbers.getBlockSize()
+    first, end = (bound // size for bound in A.getOwnershipRange())
+    _number(block, np.where((names >= first) & (names < end), names - first, -1), size)
+    return block
+
+
+def _number(A: PETSc.Mat, names: IntArray, size: int) -> None:
+    """Give local numbers to a matrix of one rank: blocks of rows and columns, -1: none."""
+    numbers = PETSc.LGMap().create(names, size, MPI.COMM_SELF)
+    A.setLGMap(numbers, numbers)
+    numbers.destroy()
 
 
 def assemble_scalar(form: Any) -> float:

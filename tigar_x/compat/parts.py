@@ -8,9 +8,11 @@ import numpy as np
 import ufl
 from dolfinx import cpp, fem, mesh
 
+from tigar_x.compat.algebra import SplitForm
 from tigar_x.compat.forms import compile_forms
 from tigar_x.compat.meshes import connectivity, owned_cells
 from tigar_x.compat.release import VERSION, IntArray
+from tigar_x.compat.spaces import cell_dofs
 
 _FFI = cffi.FFI()
 _Kind: Any = getattr(fem, "IntegralType", None) or cpp.fem.IntegralType  # the one since 0.10, the other before
@@ -77,8 +79,17 @@ class PartialForm:
             cells: mask of local cells, shape (cells,).
 
         Returns:
-            A compiled form.
+            A compiled form, or a bilinear one as :class:`SplitForm` where several ranks have the mesh.
         """
+        spaces = [argument.ufl_function_space() for argument in self._form.arguments()]
+        if len(spaces) < 2 or spaces[0] != spaces[1] or self._mesh.comm.size == 1:
+            return self._in(cells)
+        nodes, owned = cell_dofs(spaces[0]), owned_cells(self._mesh)
+        inside = (nodes < spaces[0].dofmap.index_map.size_local).all(axis=1)
+        beside = np.flatnonzero((cells & ~inside)[:owned])
+        return SplitForm(self._in(cells & inside), self._in(cells & ~inside), nodes[beside])
+
+    def _in(self, cells: Any) -> Any:
         chosen = {kind: (e[cells[of]], v[cells[of]]) for kind, (e, v, of) in self._entities.items()}
         coefficients, positions = self._form.coefficients(), self._positions()
         parts = (
