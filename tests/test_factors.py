@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from tigar_x.fem.factors import Factors
 from tigar_x.fem.linear import SolveError
@@ -87,6 +88,22 @@ def test_what_has_no_band_or_few_entries_gets_sparse_factors(width, far):
     assert kinds(factors)[-1] == "SuperLU"
     b = rng.standard_normal((300, 3))
     np.testing.assert_allclose(factors.solve(b), np.linalg.solve(A, b), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.skipif(not PETSc.Sys.hasExternalPackage("suitesparse"), reason="PETSc has no CHOLMOD")
+def test_what_is_definite_without_a_band_has_a_factor_of_half_the_size(capfd):
+    A, rng = symmetric(300, 16, 5) + 60.0 * np.eye(300), np.random.default_rng(6)
+    i, j = rng.integers(0, 300, (2, 200))
+    A[i, j] = A[j, i] = 1.0
+    b = rng.standard_normal((300, 3))
+    skew = A.copy()
+    skew[i[0], j[0]] += 1e-9
+    for B, kind in ((A, "_SparseDefinite"), (A - 60.0 * np.eye(300), "SuperLU"), (skew, "SuperLU")):
+        factors = Factors(sp.csr_matrix(B))
+        assert kinds(factors)[-1] == kind
+        for load in (b, b[:, :0], b[:, 1]):
+            np.testing.assert_allclose(factors.solve(load), np.linalg.solve(B, load), rtol=1e-9, atol=1e-9)
+    assert capfd.readouterr() == ("", "")
 
 
 def symmetric(n: int, width: int, seed: int) -> np.ndarray:
