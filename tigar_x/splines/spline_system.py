@@ -94,6 +94,7 @@ class SplineSystem:
         Args:
             comm: the ranks, one of which alone shares nothing; later, what takes the place of the former communicator.
         """
+        self._by_factors = self._recipe == direct()
         if self._part is not None:
             self._part.comm, self._factors = comm, None
         elif comm.size > 1:
@@ -103,7 +104,6 @@ class SplineSystem:
                 self._part = Part(comm, self.space, *self._forms)
                 self._A_fe.destroy()
                 self._own = self._A = None
-                self._by_factors = self._recipe == direct()
 
     @property
     def is_shared(self) -> bool:
