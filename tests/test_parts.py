@@ -8,6 +8,8 @@ from dolfinx import fem
 
 from tigar_x import compat
 from tigar_x.compat import algebra
+from tigar_x.fem.linear import direct, gmres_ilu
+from tigar_x.fem.solve import FiniteElementSystem
 from varmint.mesh.named import box
 
 pytestmark = pytest.mark.mpi
@@ -118,6 +120,28 @@ def test_cells_inside_of_a_rank_send_nothing(monkeypatch):
     monkeypatch.setattr(algebra.petsc, "assemble_matrix", noted)
     compat.add_matrix(A, form)
     assert into == [(1, form.inside), (1, form.border)]
+
+
+@pytest.mark.parametrize("kind", ["aij", "baij"])
+def test_systems_in_space_split_their_tangents_on_several_ranks(kind):
+    """And have the same tangent."""
+    domain = box(MPI.COMM_WORLD, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (4, 3, 3)).domain
+    V = compat.lagrange_space(domain, 1, 2)
+    u, w = fem.Function(V), ufl.TestFunction(V)
+    u.x.array[:] = 1.0
+    residual = ((1 + u[0] ** 2) * ufl.inner(ufl.grad(u), ufl.grad(w)) + u[1] * w[0]) * ufl.dx(degree=2)
+    bcs = [compat.pin_component(V, 1, lambda x: x[0] < 0.1)]
+    system = FiniteElementSystem(residual, u, bcs, solver=direct() if kind == "aij" else gmres_ilu(1))
+    assert isinstance(system._tangent, compat.SplitForm) is (domain.comm.size > 1)
+    (form,) = compat.compile_forms(ufl.derivative(residual, u))
+    A = compat.create_matrix(form, kind)
+    compat.assemble_matrix(A, form, bcs)
+    A.assemble()
+    for _ in range(2):
+        system.assemble_tangent()
+        difference = system.A.copy()
+        difference.axpy(-1.0, A)
+        assert difference.norm() < 1e-13 * A.norm()
 
 
 def test_what_cannot_be_confined_is_refused():

@@ -58,7 +58,7 @@ from tigar_x.compat.meshes import (
     owned_cells,
     shortest_edges,
 )
-from tigar_x.compat.parts import PartialForm, partial_forms
+from tigar_x.compat.parts import PartialForm, equations, partial_forms
 from tigar_x.compat.points import PointField, VectorAtPoints
 from tigar_x.compat.release import VERSION, FloatArray, IntArray
 from tigar_x.compat.spaces import (
@@ -89,6 +89,7 @@ __all__ = [
     "compiled_forms",
     "PartialForm",
     "SplitForm",
+    "equations",
     "partial_forms",
     "compile_cpu_seconds",
     "compile_forms",

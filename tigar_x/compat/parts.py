@@ -10,7 +10,7 @@ from dolfinx import cpp, fem, mesh
 
 from tigar_x.compat.algebra import SplitForm
 from tigar_x.compat.forms import compile_forms
-from tigar_x.compat.meshes import connectivity, owned_cells
+from tigar_x.compat.meshes import cell_name, cell_nodes, connectivity, owned_cells
 from tigar_x.compat.release import VERSION, IntArray
 from tigar_x.compat.spaces import cell_dofs
 
@@ -144,3 +144,25 @@ def _tagged(integral: Any, data: dict[str, Any]) -> Any:
     if integral.subdomain_id() != "everywhere":
         return integral
     return integral.reconstruct(subdomain_id=0, subdomain_data=data[integral.integral_type()])
+
+
+def equations(residual: ufl.Form, tangent: ufl.Form) -> tuple[Any, Any, Any]:
+    """A residual and its tangent, compiled, and this once more as it is assembled in the least time.
+
+    Several ranks with a mesh of tetrahedra assemble it as :class:`tigar_x.compat.SplitForm`, if it can be confined.
+
+    Args:
+        residual: residual.
+        tangent: its tangent.
+    """
+    domain: Any = tangent.arguments()[0].ufl_function_space().mesh
+    if domain.comm.size > 1 and cell_name(domain) == "tetrahedron":
+        try:
+            of_residual, of_tangent = partial_forms(residual, tangent)
+        except ValueError:
+            pass
+        else:
+            every = np.ones(len(cell_nodes(domain)), dtype=bool)
+            return of_residual.whole, of_tangent.whole, of_tangent.on(every)
+    whole = compile_forms(residual, tangent)
+    return whole[0], whole[1], whole[1]

@@ -88,9 +88,9 @@ class FiniteElementSystem:
 
     def _make(self, residual: ufl.Form, tangent: ufl.Form) -> None:
         """Compile the equations, and make what they are assembled into."""
-        self._residual, self._tangent = compat.compile_forms(residual, tangent)
+        self._residual, whole, self._tangent = compat.equations(residual, tangent)
         blocked = self.x.function_space.dofmap.index_map_bs > 1
-        A = compat.create_matrix(self._tangent, self.recipe.matrix if blocked else "aij")
+        A = compat.create_matrix(whole, self.recipe.matrix if blocked else "aij")
         self._lay_out(self, A, compat.create_vector(self.x.function_space))
 
     def _lay_out(self, owner: Any, A: PETSc.Mat, b: PETSc.Vec) -> None:
