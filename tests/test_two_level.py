@@ -92,9 +92,11 @@ def test_aggregates_are_small_and_of_one_group():
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("shared", [8_000, 0])
 @pytest.mark.parametrize("floating", [False, True])
-def test_coarse_level_is_exact_for_constants_and_linear_pressures_of_aggregates(floating):
-    """r = A P c gives P c whatever the smoother is."""
+def test_coarse_level_is_exact_for_constants_and_linear_pressures_of_aggregates(monkeypatch, floating, shared):
+    """r = A P c gives P c whatever the smoother is, and whether the ranks share the factors."""
+    monkeypatch.setattr("tigar_x.fem.coarse_solver.SHARED", shared)
     plain = nodes_of(blocked_matrix())
     A = held_matrix(plain)
     nodes = replace(plain, floating=floating)
@@ -135,11 +137,12 @@ def test_linear_functions_are_independent_or_zero():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("dense", [600, 0])
+@pytest.mark.parametrize(("dense", "shared"), [(600, 8_000), (0, 8_000), (0, 0)])
 @pytest.mark.parametrize("size", [9, 1000])
-def test_a_coarse_level_that_is_singular_makes_no_large_correction(monkeypatch, dense, size):
+def test_a_coarse_level_that_is_singular_makes_no_large_correction(monkeypatch, dense, shared, size):
     """Where an aggregate has all nodes, its diagonal is what rounding leaves."""
-    monkeypatch.setattr("tigar_x.fem.two_level.DENSE", dense)
+    monkeypatch.setattr("tigar_x.fem.coarse_solver.DENSE", dense)
+    monkeypatch.setattr("tigar_x.fem.coarse_solver.SHARED", shared)
     A = blocked_matrix()
     at = compat.block_pattern(A)
     couplings = np.random.default_rng(0).random(len(at.rows))
@@ -215,8 +218,10 @@ def test_what_is_kept_is_not_made_again_when_the_matrix_has_changed(weak):
     pc.destroy()
 
 
-def test_memory_of_matrices_that_are_gone_comes_back():
+@pytest.mark.parametrize("shared", [8_000, 0])
+def test_memory_of_matrices_that_are_gone_comes_back(monkeypatch, shared):
     """A matrix of a sixth of a MiB is made anew where other cells are divided; whoever made it frees it first."""
+    monkeypatch.setattr("tigar_x.fem.coarse_solver.SHARED", shared)
 
     def one() -> None:
         A = blocked_matrix()

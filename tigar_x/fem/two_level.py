@@ -12,32 +12,26 @@ smoother is therefore made for a repaired copy of the matrix, in which the press
 are multiplied and those on the diagonal keep the sums of the rows. GMRES keeps the exact matrix.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import scipy.linalg as la
 import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy.sparse.linalg import splu
 
 from tigar_x import compat
 from tigar_x.compat import FloatArray, IntArray
 from tigar_x.compat.blocks import LongArray
+from tigar_x.fem.coarse_solver import coarse_solver
 from tigar_x.fem.nodes import RowNodes, aggregates
 
 AGGREGATE = {0: 128, 100_000: 256}
 """Nodes of an aggregate, from a number of nodes of all ranks on: more would make the coarse level too expensive."""
 MOST = 2_300
 """Aggregates of all ranks at most: beyond, they grow with the number of nodes."""
-DENSE = 600
-"""Unknowns of the coarse level up to which its factors are dense."""
 FLAT = 1e-3
 """Square of the extent of an aggregate, relative to that of its longest side, that is none."""
-SINGULAR, SHIFT = 1e-9, 1e-6
-"""Pivots of the coarse level, relative to the matrix's own diagonal, that count as zero; what is added there then."""
 _FLOATING_POINT = 72  # PETSc's code for a number that is not finite
 
 
@@ -90,7 +84,7 @@ class TwoLevel:
         self.smoother.setOperators(A, self._copy)
         self.smoother.setFromOptions()
         # the reference to A as well: petsc4py keeps what is dropped last, and with it all of the matrix
-        self._owned = [self._z, self._rest, self.smoother, *([self._copy] if repairs else []), self._A]
+        self._owned = [self._coarse, self._z, self._rest, self.smoother, *([self._copy] if repairs else []), self._A]
         self._ghosts = names
 
     def _repaired(self) -> None:
@@ -192,6 +186,7 @@ class Coarse:
         self._sums_of_rows = sums, *(_weighted(sums, w[rows]) for w in self._linear.T)
         every = np.hstack([self._free, np.abs(self._linear)])
         empty = (self._restrict @ every) == 0.0
+        self._solver: Any = None
         self._lay_out(keys + first * self._total, empty, nodes.floating)
 
     def _lay_out(self, keys: IntArray, empty: Any, floating: bool) -> None:
@@ -243,7 +238,14 @@ class Coarse:
         known = np.append(every, np.ones(len(ones)))
         rows, columns = np.append(self._rows, ones), np.append(self._columns, ones)
         A = sp.csc_matrix((known, (rows, columns)), shape=(n, n))
-        self._solve = _solver(A, self._sizes(values[0]))
+        self.destroy()
+        self._solver = coarse_solver(A, self._sizes(values[0]), self._comm, self._counts)
+
+    def destroy(self) -> None:
+        """Free the factors (collective)."""
+        if self._solver is not None:
+            self._solver.destroy()
+        self._solver = None
 
     def _sizes(self, blocks: FloatArray) -> FloatArray:
         """Diagonal of P' D P with the diagonal D of the matrix, one where that is zero (collective)."""
@@ -265,7 +267,7 @@ class Coarse:
         self._comm.Allgatherv(mine, (every, self._counts))
         if self._pinned >= 0:
             every[self._pinned] = 0.0
-        solved = self._solve(every)
+        solved = self._solver.solve(every)
         found, values = solved.reshape(-1, nc)[self._range][self._number], z.reshape(-1, bs)
         values[:] = found[:, :bs] * self._free
         values[:, -1] += np.einsum("ij,ij->i", found[:, bs:], self._linear)
@@ -311,31 +313,3 @@ def _sums(keys: IntArray) -> tuple[IntArray, sp.csr_matrix]:
     different, place = np.unique(keys, return_inverse=True)
     shape = len(keys), len(different)
     return different, sp.csr_matrix((np.ones(len(keys)), place, np.arange(len(keys) + 1)), shape=shape).T.tocsr()
-
-
-def _solver(A: sp.csc_matrix, sizes: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Factors of a coarse matrix; what is all but singular, as constants of few aggregates may be, gets no correction.
-
-    A sparse one is shifted then.
-
-    Args:
-        A: the coarse matrix.
-        sizes: what rounding makes of a zero on its diagonal is small compared with these, shape (rows,).
-    """
-    scale = 1.0 / np.sqrt(sizes)
-    scaled = (sp.diags(scale) @ A @ sp.diags(scale)).tocsc()
-    if A.shape[0] <= DENSE:
-        dense = scaled.toarray()
-        factors = la.lu_factor(dense, check_finite=False)
-        if np.abs(factors[0].diagonal()).min(initial=np.inf) > SINGULAR:
-            return lambda b: scale * la.lu_solve(factors, scale * b, check_finite=False)
-        inverse = la.pinv(dense, rtol=SINGULAR)
-        return lambda b: scale * (inverse @ (scale * b))
-    options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
-    more = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": options}
-    sparse = None
-    with suppress(RuntimeError):  # SuperLU has met a pivot that is exactly zero
-        sparse = splu(scaled, **more)
-    if sparse is None or np.abs(sparse.U.diagonal()).min() <= SINGULAR:
-        sparse = splu((scaled + SHIFT * sp.identity(A.shape[0])).tocsc(), **more)
-    return lambda b: scale * sparse.solve(scale * b)
