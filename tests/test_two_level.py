@@ -18,7 +18,7 @@ from tigar_x import compat
 from tigar_x.fem.linear import PreparedSolver, SolveError, direct, two_level
 from tigar_x.fem.nodes import RowNodes, aggregates
 from tigar_x.fem.petsc_options import chosen
-from tigar_x.fem.two_level import TwoLevel, _linear
+from tigar_x.fem.two_level import MOST, TwoLevel, _linear, aggregate_size
 from tigar_x.run.progress import rss_mib
 
 WORLD = MPI.COMM_WORLD
@@ -89,6 +89,13 @@ def test_aggregates_are_small_and_of_one_group():
         assert len(set(group[number == k])) == 1
         assert np.ptp(x[number == k], axis=0).max() < 1.5
     assert len(aggregates(x[:0], 20)) == 0
+
+
+def test_aggregates_grow_with_the_number_of_nodes_later_where_some_nodes_are_double():
+    nodes = 7_000, 28_000, 120_000
+    assert [aggregate_size(n, several=False) for n in nodes] == [128, 256, 256]
+    assert [aggregate_size(n, several=True) for n in nodes] == [128, 128, 256]
+    assert aggregate_size(10_000_000, several=True) == -(-10_000_000 // MOST)
 
 
 @pytest.mark.mpi

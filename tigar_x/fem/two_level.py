@@ -26,8 +26,10 @@ from tigar_x.compat.blocks import LongArray
 from tigar_x.fem.coarse_solver import coarse_solver
 from tigar_x.fem.nodes import RowNodes, aggregates
 
-AGGREGATE = {0: 128, 100_000: 256}
+AGGREGATE = {0: 128, 20_000: 256}
 """Nodes of an aggregate, from a number of nodes of all ranks on: more would make the coarse level too expensive."""
+OF_SEVERAL = {0: 128, 100_000: 256}
+"""The same where nodes are of several groups, whose smaller aggregates take fewer iterations."""
 MOST = 2_300
 """Aggregates of all ranks at most: beyond, they grow with the number of nodes."""
 FLAT = 1e-3
@@ -155,7 +157,7 @@ class Coarse:
         comm = self._comm = A.comm.tompi4py()
         bs, own = pattern.size, pattern.own
         every = comm.allreduce(own, op=MPI.SUM)
-        size = size or max(-(-every // MOST), *(nodes for start, nodes in AGGREGATE.items() if every >= start), 1)
+        size = size or aggregate_size(every, nodes.group is not None)
         number = aggregates(nodes.x, size, nodes.group)
         mine = int(number.max(initial=-1)) + 1
         counts = comm.allgather(mine)
@@ -272,6 +274,17 @@ class Coarse:
         values[:] = found[:, :bs] * self._free
         values[:, -1] += np.einsum("ij,ij->i", found[:, bs:], self._linear)
         rest[:] = x - self._product @ solved
+
+
+def aggregate_size(nodes: int, several: bool) -> int:
+    """Nodes of an aggregate.
+
+    Args:
+        nodes: their number, of all ranks.
+        several: whether they are of several groups.
+    """
+    by_number = OF_SEVERAL if several else AGGREGATE
+    return max(-(-nodes // MOST), *(size for start, size in by_number.items() if nodes >= start), 1)
 
 
 def _linear(x: FloatArray, number: LongArray, count: int, free: FloatArray, m: int) -> FloatArray:
