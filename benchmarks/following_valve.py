@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from mpi4py import MPI
@@ -51,6 +51,7 @@ class FollowedValve:
         ahead: steps of the largest size for which they are made.
         contact: range of contact [cm]; None: the demo's.
         solver: of the flow; None: the demo's.
+        coupling: options of the coupling that are not the usual ones of such fields.
         expected: see :class:`coudalfish.refinement.FollowingBand`.
     """
 
@@ -62,6 +63,7 @@ class FollowedValve:
         ahead: int,
         contact: float | None = None,
         solver: LinearSolver | None = None,
+        coupling: dict[str, Any] | None = None,
         expected: Any = None,
     ) -> None:
         self.data, self._ahead = load_demo("heart_valve").Data(), ahead
@@ -71,6 +73,8 @@ class FollowedValve:
         shell, make = scene.leaflets(self.data), partial(scene.flow, data=self.data, solver=solver)
         known = {"ahead": ahead, "expected": expected}
         self.following = FollowingBand(meshes, make, shell, band, **known)
+        fsi = self.following.fsi
+        fsi.options = fsi.options.with_(**(coupling or {}))
         self.leaflets, self.cpu_mesh, self.rate = Leaflets(shell), 0.0, self._rate()
         self._largest = self.following.fsi.step_size
 
@@ -115,6 +119,8 @@ def main(
     contact: float | None = None,
     preset: str = "jump",
     fill: int | None = None,
+    accuracy: float = 1e-2,
+    tangents: Literal["step", "pass"] = "step",
     dt: float = 2e-4,
     halvings: int = 2,
     courant: float = 2.0,
@@ -135,6 +141,8 @@ def main(
         contact: range of contact, or more where points are too far apart for it [cm]; None: the demo's.
         preset: of the demo.
         fill: of factors that are made anew for every matrix; None: the demo's recipe, which keeps them.
+        accuracy: residuals at which a step ends, relative to its first ones or to the forces of coupling.
+        tangents: made for every step, or every pass of it.
         dt: largest time step [s].
         halvings: of it at most, where the Courant number asks for it.
         courant: the largest one of cells; leaflets pass half as many in a step.
@@ -149,7 +157,8 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     expected = np.load(out / EXPECTED) if restart else None
     solver = None if fill is None else two_level(fill, rtol=1e-5, fallback=direct())
-    valve = FollowedValve(scene, base, Band(size, reach=reach, growth=growth), ahead, contact, solver, expected)
+    coupling, band = {"block_rtol": accuracy, "tangent_update": tangents}, Band(size, reach=reach, growth=growth)
+    valve = FollowedValve(scene, base, band, ahead, contact, solver, coupling, expected)
     following = valve.following
 
     def keeps() -> Restart:

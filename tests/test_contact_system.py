@@ -109,6 +109,32 @@ def test_a_positive_tangent_has_a_semidefinite_part_of_contact_and_the_same_resi
     assert lowest[False] < -1e-2 * scale
 
 
+def test_contact_is_renewed_where_something_has_changed_and_factors_are_kept_where_not():
+    spline, y, system, _ = beams()
+    n = spline.geometry.n
+    U = np.zeros((n, 2))
+    U[n // 2 :, 1] = -0.5 * GAP
+    y.x.array[:] = (spline.vector.nodes @ U).ravel()
+    system.assemble_tangent()
+    load = np.where(np.isin(np.arange(2 * n), spline.zero_dofs), 0.0, 1.0)
+    before, factors = system.inverse(load), system._factors
+    system.renew_contact()
+    assert system._factors is factors
+    y.x.array[:] *= 1.1
+    system.renew_contact()
+    assert system._factors is None
+    moved = system.inverse(load)
+    assert np.abs(moved - before).max() > 1e-3 * np.abs(before).max()
+    system.positive = True
+    system.renew_contact()
+    assert system._factors is None
+    positive = system.inverse(load)
+    assert np.abs(positive - moved).max() > 1e-3 * np.abs(moved).max()
+    whole = dense(system.A)
+    system.assemble_tangent()
+    np.testing.assert_allclose(np.linalg.solve(whole, load), positive, rtol=0.0, atol=1e-9 * np.abs(positive).max())
+
+
 @pytest.mark.parametrize("r_self", [0.09, 0.12])
 def test_a_loaded_beam_rests_on_the_other_one_however_near_it_starts(r_self):
     spline, y, system, stepper = beams(load=0.02, r_self=r_self)

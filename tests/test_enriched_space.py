@@ -150,6 +150,29 @@ def test_nothing_is_divided_beyond_a_free_edge():
     assert covered == pytest.approx(0.39, rel=1e-12)
 
 
+@pytest.mark.parametrize("sheets", [1, 2])
+def test_of_several_sheets_pressures_do_not_jump_where_they_cut_off_nothing_but_a_tip(sheets):
+    """What would be unknown there has grown to 1e6 times the pressure between closed leaflets."""
+    n, least = 6, {1: 1e-8, 2: 1e-5}[sheets]
+
+    def oblique(height):
+        def place(u, v):
+            x, y = 1.6 * u - 0.3, 1.6 * v - 0.3
+            return np.column_stack([x, y, height + 0.01 / n - 0.31 * (x - 0.5) + 0.17 * (y - 0.5)])
+
+        return grid(5, place)
+
+    e = enriching(n, kinked=False)
+    found = e(surfaces(*[oblique(height) for height in (0.5, 1.4)[:sheets]]))
+    cells, negative = found.cut.cells, found.cut.negative_share[:, None]
+    volumes = np.abs(np.linalg.det(e.corners[:, 1:] - e.corners[:, :1]))
+    nodes, share = e.vertices[cells], np.where(found.phi[e.vertices[cells]] < 0.0, 1.0 - negative, negative)
+    other = np.bincount(nodes.ravel(), (volumes[cells, None] * share).ravel(), len(e.x))
+    part = other / np.bincount(e.vertices.ravel(), np.repeat(volumes, 4), len(e.x))
+    assert ((part > 1e-8) & (part < 1e-5)).sum() > 1
+    np.testing.assert_array_equal(found.jump, (part > least) & (part < 1.0 - least))
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_nothing_is_cut_half_way_between_two_plates(turned):
     """And which way they are parametrised does not matter."""

@@ -26,6 +26,9 @@ from tigar_x.compat import FloatArray, IntArray
 
 DIVIDED = {2: 1e-5, 3: 1e-8}
 """Share of the volume of a node's cells that each part has to have for its pressure to jump, by the dimension."""
+IN_FILMS = 1e-5
+"""The same in space where there are several sheets, with films between them: where a tip is cut off, .02 cells deep,
+jumps grow without bound. A sheet alone has them, and is in equilibrium to rounding at rest."""
 SLIVER = 1e-6
 """Share of a cell below which its velocity is not kinked: it bends as good as nowhere."""
 COVERED = 0.5
@@ -200,7 +203,7 @@ class Enriching:
         mine = np.where(real & (cut.cells < self.owned), 1.0, 0.0)[:, None]
         other = np.where(cut.values < 0.0, 1.0 - share, share)
         other = self._total(nodes, mine * other * self._volumes[cut.cells, None])
-        least = DIVIDED[self._d]
+        least = IN_FILMS if self._d == 3 and interface.sheets > 1 else DIVIDED[self._d]
         jump = (other > least * self._support) & (other < (1.0 - least) * self._support)
         whole, found = (self._total(nodes, of.of_cells(of.sizes())[:, None] * mine) for of in (zero, covered))
         enough = found >= COVERED * (1.0 - ROUNDED) * whole

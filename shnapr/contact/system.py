@@ -2,13 +2,14 @@
 
 from typing import Any
 
+import numpy as np
 import ufl
 from mpi4py import MPI
 from dolfinx import fem
 from petsc4py import PETSc
 
 from shnapr.contact.self_contact import ContactForces, SelfContact
-from tigar_x import checks
+from tigar_x import checks, ranks
 from tigar_x.compat import FloatArray
 from tigar_x.fem.linear import LinearSolver, SolveError
 from tigar_x.fem.time_integration import TimeIntegrator
@@ -58,6 +59,7 @@ class ContactSystem(SplineSystem):
         self._y = unknown
         self._time = time
         self.positive = positive
+        self._renewed: tuple[Any, ...] | None = None  # the state whose contact is in the tangent
 
     def share(self, comm: MPI.Comm) -> None:
         """Share the pairs as well, see the base class."""
@@ -74,9 +76,14 @@ class ContactSystem(SplineSystem):
         alpha = 1.0 if self._time is None else self._time.x_factor
         return self.contact.evaluate(self.positions(), tangent=tangent, positive=self.positive, alpha=alpha)
 
+    def _state(self) -> tuple[Any, ...]:
+        """All that the tangent of contact hangs on."""
+        return self.positive, 1.0 if self._time is None else self._time.x_factor, self.positions()
+
     def _of_pairs(self) -> Any:
         """Tangent of contact; None: no points interact."""
-        found = self._contact(tangent=True)
+        self._renewed = None
+        found, self._renewed = self._contact(tangent=True), self._state()
         return found.tangent if found.pairs else None
 
     def assemble_residual(self, load: FloatArray | None = None) -> float:
@@ -89,8 +96,13 @@ class ContactSystem(SplineSystem):
         return super().assemble_residual(forces if load is None else forces + load)
 
     def renew_contact(self) -> None:
-        """Assemble the tangent of contact anew and keep that of the form."""
-        self.extract_tangent(self._of_pairs())
+        """Bring the tangent of contact to the present state and keep that of the form; factors that suit are kept."""
+        both = zip(self._renewed or (), self._state(), strict=False)
+        present = self._renewed is not None and all(np.array_equal(one, other) for one, other in both)
+        if self._part is not None:
+            present = ranks.first(self._part.comm, present)
+        if not present:
+            self.extract_tangent(self._of_pairs())
 
     def assemble_tangent(self, diagonal: FloatArray | None = None, pairs: Any = None) -> None:
         """Assemble and extract the tangent with contact, see the base class."""
