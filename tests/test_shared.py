@@ -79,6 +79,16 @@ def test_a_coupled_shell_is_shared_by_the_ranks_of_the_flow():
     assert fsi.shell.system.is_shared == (COMM.size > 1)
 
 
+def test_what_is_shared_is_solved_by_its_factors_on_any_number_of_ranks():
+    for whole, shared, values in states():
+        for system in (whole, shared):
+            system.assemble_residual(values)
+            system.assemble_tangent(np.abs(values))
+            system.solve()
+        assert whole._factors is None
+        assert shared._factors is not None
+
+
 @several
 def test_what_others_ask_of_the_contact_is_theirs_alone():
     """Rank 0 may look at the energy of a shell that is coupled, and the others need not."""

@@ -167,7 +167,8 @@ class BandLayout:
 def _sparse(A: sp.csr_matrix) -> Any:
     """Sparse factors of a matrix."""
     A.eliminate_zeros()
-    if abs(A - A.T).max() <= ROUNDED * abs(A).max() and PETSc.Sys.hasExternalPackage("suitesparse"):
+    many = A.nnz > FEW * A.shape[0] and PETSc.Sys.hasExternalPackage("suitesparse")
+    if many and abs(A - A.T).max() <= ROUNDED * abs(A).max():
         with suppress(PETSc.Error):  # it is not definite
             return _SparseDefinite(A)
     try:
