@@ -178,10 +178,19 @@ def test_a_free_edge_from_wall_to_wall_is_not_attached_to_them(n):
     held = attached(plate, cube(2), 1e-6, MPI.COMM_SELF)
     assert len(held) == 3 * n
     net = Net(cells, plate.net.place, held)
-    triangle, corner, _ = net.at_free
+    triangle, corner, *_ = net.at_free
     ends = np.array([np.delete(net.triangles[t], c) for t, c in zip(triangle, corner, strict=True)])
     assert len(ends) == n
     np.testing.assert_allclose(points[ends, 0], 0.6)
+
+
+def test_what_is_near_edges_or_attached_asks_for_no_triangles():
+    surface, walls = surfaces(grid(3)), cube()
+    np.testing.assert_array_equal(surface.near_ends(np.array([[0.5, 1.2, 0.0], [0.5, 0.5, 0.0]]), 0.3), [0])
+    assert len(attached(surface, walls, 0.01, MPI.COMM_SELF)) == len(surface.net.at_ends.points) == 12
+    assert "triangles" not in vars(surface)
+    np.testing.assert_array_equal(walls.span, [[0.0] * 3, [1.0] * 3])
+    assert "span" in vars(walls)  # kept
 
 
 def test_hat_functions_at_nearest_places():

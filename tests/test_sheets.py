@@ -115,6 +115,23 @@ def folded(points=17, gap=1e-3):
     return Sheets(cells, np.empty((0, 2), dtype=np.int32), X, np.ones((2 * points, 2))), sp.csr_matrix(hats)
 
 
+def test_areas_have_the_digits_of_numpys_products_without_their_time(monkeypatch):
+    sheets = sheets_of(quarter(0, 0), quarter(1, 0), quarter(0, 1).reversed(0), quarter(1, 1))
+    corners = sheets.X[sheets.cells]
+    arms = corners[:, 1:] - corners[:, :1]
+    sizes = 0.5 * np.linalg.norm(np.cross(arms[:, :-1], arms[:, 1:]).sum(axis=1), axis=1)
+    expected = np.bincount(sheets.cells.ravel(), np.repeat(sizes, sheets.cells.shape[1]), len(sheets.X))
+    monkeypatch.delattr(np, "cross")
+    np.testing.assert_array_equal(sheets._areas(sheets.X), expected)
+
+
+def test_neighbours_are_the_edges_of_the_cells_each_once():
+    sheets = sheets_of(quarter(0, 0), quarter(1, 0))
+    pairs = {tuple(sorted(edge)) for edge in sheets.edges.tolist()}
+    assert len(pairs) < len(sheets.edges)
+    assert sheets.neighbours.T.tolist() == sorted(map(list, pairs))
+
+
 def test_layers_of_a_fold_are_apart_but_where_it_bends():
     sheets, N = folded()
     parts = apart(N, sheets)

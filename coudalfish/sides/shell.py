@@ -204,5 +204,5 @@ class ShellSubproblem:
         Returns:
             Unit: length.
         """
-        a, b = self.sheets.edges.T
-        return float(np.linalg.norm(x[a] - x[b], axis=1).max(initial=0.0))
+        a, b = (np.take(x, points, axis=0) for points in self.sheets.neighbours)
+        return float(np.linalg.norm(a - b, axis=1).max(initial=0.0))

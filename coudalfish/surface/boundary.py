@@ -12,7 +12,7 @@ from dolfinx import mesh
 
 from coudalfish.surface.facets import walls_of
 from coudalfish.surface.interface import Sought
-from coudalfish.surface.net import OPPOSITE, Net
+from coudalfish.surface.net import Net
 from coudalfish.surface.sheets import Sheets
 from coudalfish.surface.surfaces import Surfaces
 from tigar_x import compat, ranks
@@ -77,17 +77,17 @@ def attached(surface: Surfaces, walls: Surfaces, reach: float, comm: MPI.Comm) -
         Places at their ends, see :class:`coudalfish.surface.net.Net`, shape (attached, 2).
     """
     net = surface.net
-    triangle, corner, _ = net.at_ends
-    size = float(np.linalg.norm(np.ptp(np.concatenate([surface.x, walls.x]), axis=0)))
-    bounds = len(triangle) * np.arange(comm.size + 1) // comm.size
+    ends = net.at_ends
+    size = float(np.linalg.norm(np.ptp(np.concatenate([surface.span, walls.span]), axis=0)))
+    bounds = len(ends.points) * np.arange(comm.size + 1) // comm.size
 
     def found() -> FloatArray:
         mine = slice(*bounds[comm.rank : comm.rank + 2])
-        a, b = (surface.triangles.x[triangle[mine], end] for end in np.array(OPPOSITE)[corner[mine]].T)
+        a, b = surface.x[ends.points[mine].T]
         x = np.concatenate([a, b, 0.5 * (a + b)])
-        near, result = walls.nearest(x, Sought(np.arange(len(x)), size)), np.zeros(len(triangle))
+        near, result = walls.nearest(x, Sought(np.arange(len(x)), size)), np.zeros(len(ends.points))
         result[mine] = (near.signed_distance() <= reach).reshape(3, -1).all(axis=0)  # negative beyond
         return result
 
-    there = ranks.summed(comm, len(triangle), found) > 0.0
-    return np.asarray(net.edge_places[net.edges[triangle, corner][there]])
+    there = ranks.summed(comm, len(ends.points), found) > 0.0
+    return np.asarray(net.edge_places[net.edges[ends.triangle, ends.corner][there]])

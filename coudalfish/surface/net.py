@@ -52,11 +52,13 @@ class Ending(NamedTuple):
     Attributes:
         triangle: to which of the triangles each belongs, shape (n,).
         corner: which corner of that is opposite, likewise.
+        points: at both ends of each, as no middle of a cell is, shape (n, 2).
         order: in which those are together that are close to each other at rest; None: it is not known.
     """
 
     triangle: IntArray
     corner: IntArray
+    points: IntArray
     order: IntArray | None
 
 
@@ -197,10 +199,9 @@ class Net:
 
     def _ending(self, edges: Any) -> Ending:
         triangle, corner = np.nonzero(edges[self.edges])
-        if self.rest is None:
-            return Ending(triangle, corner, None)
-        ends = self.triangles[triangle[:, None], np.array(OPPOSITE)[corner]]
-        return Ending(triangle, corner, neighbouring((self.functions @ self.rest)[ends].mean(axis=1)))
+        points = self.triangles[triangle[:, None], np.array(OPPOSITE)[corner]]
+        order = None if self.rest is None else neighbouring(self.rest[points].mean(axis=1))
+        return Ending(triangle, corner, points, order)
 
     @cached_property
     def places_at_ends(self) -> Any:

@@ -6,6 +6,7 @@ patches needs signs that make the normals agree.
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 from shnapr.kinematics import midsurface
 from tigar_x import checks, compat
 from tigar_x.compat import FloatArray, IntArray
+from tigar_x.fem.simplices import cross_products
 from tigar_x.fem.time_integration import TimeIntegrator
 from tigar_x.splines.spline import ExtractedSpline
 
@@ -105,6 +107,11 @@ class Sheets:
         return np.stack([self.cells, np.roll(self.cells, -1, axis=1)], axis=-1).reshape(-1, 2)
 
     @cached_property
+    def neighbours(self) -> IntArray:
+        """Pairs of points at the ends of these edges, each pair once, shape (2, pairs)."""
+        return np.ascontiguousarray(np.unique(np.sort(self.edges, axis=1), axis=0).T)
+
+    @cached_property
     def links(self) -> IntArray:
         """Pairs of neighbouring points, also across joints, shape (links, 2)."""
         return np.concatenate([self.edges, self.joints])
@@ -182,12 +189,12 @@ class Sheets:
 
     def _areas(self, x: FloatArray) -> FloatArray:
         """Areas (in the plane: lengths) of the cells around every point."""
-        corners = x[self.cells]
-        arms = corners[:, 1:] - corners[:, :1]
+        first, *others = (np.take(x, corners, axis=0) for corners in self.cells.T)  # far faster than an index
+        arms = [corner - first for corner in others]
         if self.cells.shape[1] == 2:
-            sizes = np.linalg.norm(arms[:, 0], axis=1)
+            sizes = np.linalg.norm(arms[0], axis=1)
         else:
-            sizes = 0.5 * np.linalg.norm(np.cross(arms[:, :-1], arms[:, 1:]).sum(axis=1), axis=1)
+            sizes = 0.5 * np.linalg.norm(sum(cross_products(a, b) for a, b in pairwise(arms)), axis=1)
         weights = np.repeat(sizes, self.cells.shape[1])
         return np.asarray(np.bincount(self.cells.ravel(), weights, len(x)), dtype=np.float64)
 

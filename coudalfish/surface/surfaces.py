@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from coudalfish.surface.boxes import CORNER, EDGE, Boxes, NearPlaces
 from coudalfish.surface.interface import Sought
-from coudalfish.surface.net import OPPOSITE, Ending, Net
+from coudalfish.surface.net import Ending, Net
 from coudalfish.surface.triangles import Triangles
 from tigar_x import checks
 from tigar_x.compat import FloatArray, IntArray
@@ -40,6 +40,11 @@ class Surfaces:
     def sheets(self) -> int:
         """Number of the connected surfaces."""
         return int(self.net.sheet.max(initial=-1)) + 1
+
+    @cached_property
+    def span(self) -> FloatArray:
+        """Least and largest coordinates of the points, shape (2, 3), no rows without points; unit: length."""
+        return np.stack([self.x.min(axis=0), self.x.max(axis=0)]) if len(self.x) else self.x
 
     @cached_property
     def triangles(self) -> Triangles:
@@ -147,10 +152,8 @@ class Surfaces:
 
     def _at_ends(self, edges: Ending) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Both ends of some edges at which surfaces end, and the directions away from these, shape (edges, 3)."""
-        triangle, corner, _ = edges
-        first, last = np.array(OPPOSITE)[corner].T
-        a, b = self.triangles.x[triangle, first], self.triangles.x[triangle, last]
-        away = cross_products(b - a, self.triangles.normals[triangle])
+        a, b = self.x[edges.points.T]
+        away = cross_products(b - a, self.triangles.normals[edges.triangle])
         return a, b, away / np.linalg.norm(away, axis=1)[:, None]
 
     def near_sheet(self, k: int, x: FloatArray, reach: FloatArray) -> Any:
@@ -178,7 +181,7 @@ class Surfaces:
     @cached_property
     def _free(self) -> Boxes:
         """The edges at which surfaces end freely, as triangles without areas."""
-        a, b, _ = self._at_ends(self.net.at_free)
+        a, b = self.x[self.net.at_free.points.T]
         return Boxes.around(np.stack([a, b, b], axis=1), 1, self.net.at_free.order)
 
 
