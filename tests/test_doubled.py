@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from divided import CONVERGED, FLAP, INSIDE, channel
+from petsc4py import PETSc
 
 from tigar_x import compat
 from tigar_x.fem.linear import direct, gmres_ilu
@@ -14,6 +15,7 @@ pytestmark = pytest.mark.mpi
 KINDS = ("jump", "jump and kink")
 STICKING = (Velocity(("bottom", "top")),)
 """Walls that hold the velocity at nodes."""
+ASSEMBLED = PETSc.Log.Event("MatAssemblyBegin")
 SOLVERS = {"aij": direct(), "baij": gmres_ilu(1)}
 
 
@@ -150,3 +152,26 @@ def test_residual_and_tangent_are_those_of_one_rank(lines):
         found[-1] += [float(counts), fluid.system.b.getSize()]
     np.testing.assert_allclose(found[1], found[0], rtol=1e-11)
     assert found[0][-2] > 20
+
+
+def test_divided_cells_and_others_are_exchanged_together(monkeypatch):
+    """Ranks wait for each other wherever a matrix is assembled."""
+    s, step = placed()
+    system, counts = s.fsi.fluid.system, []
+    divided, add = system._add_divided, compat.add_matrix
+
+    def noted():
+        divided()
+        counts.append(ASSEMBLED.getPerfInfo()["count"])
+
+    def followed(A, form, bcs=()):
+        if A == system.A:
+            counts.append(ASSEMBLED.getPerfInfo()["count"])
+        add(A, form, bcs)
+
+    monkeypatch.setattr(system, "_add_divided", noted)
+    monkeypatch.setattr(compat, "add_matrix", followed)
+    PETSc.Log.begin()
+    s.fsi.fluid.assemble_tangent(step.trace, step.penalty_tangent(consistent=True))
+    assert len(counts) == 2
+    assert 0 < counts[0] == counts[1]

@@ -261,13 +261,12 @@ class DoubledSystem(FiniteElementSystem):
 
     def assemble_tangent(self, add: Any = None) -> None:
         """See :class:`tigar_x.fem.solve.FiniteElementSystem`; ``add`` has the local dofs of x, then those of e."""
-        A, flush = self.A, PETSc.Mat.AssemblyType.FLUSH
+        A = self.A
         self._kept.replacing()
         A.zeroEntries()
         if not self.has_tangent:
             self._add_zeros()
         self._add_divided()
-        A.assemble(flush)
         compat.add_matrix(A, self._plain[1], self.bcs)
         A.assemble()
         if add is not None:
