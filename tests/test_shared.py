@@ -1,5 +1,7 @@
 """Systems on splines that several ranks hold whole, and of which each integrates and extracts a part."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -72,6 +74,19 @@ def test_ranks_get_the_same_to_the_last_digit_and_integrate_less():
         pairs, every = len(shared.contact._interacting.pairs), len(whole.contact._interacting.pairs)
         assert COMM.allreduce(pairs) == every
         assert pairs < max(1, every)
+
+
+@several
+def test_residuals_are_extracted_by_parts():
+    """No rank extracts all of them, nor those of other elements' points."""
+    whole, shared, values = next(states())
+    shared.space = SimpleNamespace(V=shared.space.V, rows=shared.space.rows)
+    for system in (whole, shared):
+        system.assemble_residual(values)
+    near(shared.b.array_r, whole.b.array_r)
+    part, rows = shared._part, whole.space.rows
+    assert max(COMM.allgather(part._M.size[0])) < 0.8 * rows.shape[0]
+    assert COMM.allreduce(len(part._mine)) == rows.shape[0]  # points on the border of parts are loaded once
 
 
 def test_a_coupled_shell_is_shared_by_the_ranks_of_the_flow():

@@ -29,7 +29,6 @@ class Part:
 
     Attributes:
         comm: as given.
-        residual: the compiled residual in this rank's elements.
 
     Raises:
         ValueError: a form has integrals that cannot be confined to some elements.
@@ -42,13 +41,14 @@ class Part:
         part = np.empty(len(cells), dtype=np.int64)
         part[_along(space.V.mesh)] = comm.size * np.arange(len(cells)) // max(1, len(cells))
         mine = part == comm.rank
-        self.residual, self._tangent = (form.on(mine) for form in forms)
+        self._residual, self._tangent = (form.on(mine) for form in forms)
         size, count = space.V.dofmap.index_map_bs, compat.unknowns(space.V)
         owner = np.full(count // size, comm.size)
         np.minimum.at(owner, cells, part[:, None])
         self._first = np.repeat(owner == comm.rank, size)
         nodes = np.unique(cells[mine])
         self._dofs: IntArray = (size * nodes[:, None] + np.arange(size)).ravel()
+        self._mine = np.flatnonzero(self._first[self._dofs])
         rows = space.rows[self._dofs]
         seen = np.unique(rows.indices)
         self._columns, self._n = seen, rows.shape[1]
@@ -58,8 +58,8 @@ class Part:
         self._A_M = self._A.matMult(self._M)
         self._K = self._M_T.matMult(self._A_M)
         self._x, self._diagonal = self._A.createVecs()
-        self._load = self._M.createVecRight()
-        made = (self._A, self._M, self._M_T, self._A_M, self._K, self._x, self._diagonal, self._load)
+        self._load, self._b = self._M.createVecRight(), compat.create_vector(space.V)
+        made = (self._A, self._M, self._M_T, self._A_M, self._K, self._x, self._diagonal, self._load, self._b)
         compat.freed_with(self, *made)
         self.integrate(None)
         self._lay_out()
@@ -78,19 +78,28 @@ class Part:
         self._sum.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         compat.freed_with(self, self._sum)
 
-    def whole(self, vector: PETSc.Vec, extract: Callable[[], None]) -> None:
-        """Turn a vector of coefficients, of which each rank extracts a share, into the sum over the ranks (collective).
+    def residual(self, load: FloatArray | None) -> FloatArray:
+        """The residual of the whole, extracted (collective), shape (coefficients,).
 
         Args:
-            vector: the vector, of one rank.
-            extract: writes this rank's share into it.
+            load: values to add to the residual at all degrees of freedom before extraction; None: none.
         """
 
         def share() -> FloatArray:
-            extract()
-            return np.asarray(vector.array_r)
+            compat.assemble_vector(self._b, self._residual)
+            self._diagonal.array_w[:] = self._b.array_r[self._dofs]
+            if load is not None:
+                self._diagonal.array_w[self._mine] += load.ravel()[self._dofs[self._mine]]
+            return self._share_of_extracted()
 
-        vector.array_w[:] = ranks.summed(self.comm, self._n, share)
+        return ranks.summed(self.comm, self._n, share)
+
+    def _share_of_extracted(self) -> FloatArray:
+        """What extraction makes of this part's values in the work space, zero elsewhere, shape (coefficients,)."""
+        self._M.multTranspose(self._diagonal, self._load)
+        result = np.zeros(self._n)
+        result[self._columns] = self._load.array_r
+        return result
 
     def integrate(self, diagonal: FloatArray | None) -> None:
         """Have the tangent integrated anew where it is extracted next.
@@ -132,10 +141,7 @@ class Part:
         def share() -> FloatArray:
             self._x.array_w[:] = nodal.ravel()[self._dofs]
             self._A.mult(self._x, self._diagonal)
-            self._M.multTranspose(self._diagonal, self._load)
-            result = np.zeros(self._n)
-            result[self._columns] = self._load.array_r
-            return result
+            return self._share_of_extracted()
 
         return ranks.summed(self.comm, self._n, share)
 

@@ -1,6 +1,6 @@
 """Systems on splines: ``M^T A M``, ``M^T b``. Increments are subtracted, as in :mod:`tigar_x.fem.solve`."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -131,18 +131,16 @@ class SplineSystem:
         Returns:
             Euclidean norm of the extracted residual.
         """
-        part = self._part
-        if part is None:
-            self._integrate_residual(self._residual, load)
+        if self._part is None:
+            self._integrate_residual(load)
         else:
-            here = load if part.comm.rank == 0 else None
-            part.whole(self.b, lambda: self._integrate_residual(part.residual, here))
+            self.b.array_w[:] = self._part.residual(load)
         self.b.array_w[self._zero_local] = 0.0
         return float(self.b.norm())
 
-    def _integrate_residual(self, form: Any, load: FloatArray | None) -> None:
-        """Overwrite ``b`` by a compiled residual and nodal values, extracted."""
-        compat.assemble_vector(self._b_fe, form)
+    def _integrate_residual(self, load: FloatArray | None) -> None:
+        """Overwrite ``b`` by the residual and nodal values, extracted."""
+        compat.assemble_vector(self._b_fe, self._residual)
         if load is not None:
             with self._b_fe.localForm() as local:
                 local.array_w += load.ravel()
