@@ -1,5 +1,7 @@
 """Triangles near points and on lines, found by a tree of boxes: none is missed, of those equally near all are found."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from test_nearest_surfaces import grid, surfaces
@@ -62,6 +64,16 @@ def test_no_triangle_is_missed(parts):
     given = np.column_stack([1.0 - near.inner.sum(axis=1), near.inner])
     places = np.einsum("nc,nci->ni", given, x[near.triangle])
     np.testing.assert_allclose(places + near.gap, points[near.point], atol=1e-14)
+
+
+@pytest.mark.parametrize("parts", [1, 4])
+def test_the_size_is_that_of_the_largest_leaf_and_takes_no_arrays(parts, monkeypatch):
+    boxes = Boxes.around(bent(), parts)
+    first = boxes._tree[-1]
+    leaves = [boxes.x[boxes.order[a:b]].reshape(-1, 3) for a, b in pairwise(first)]
+    expected = max(np.linalg.norm(np.ptp(x, axis=0)) for x in leaves if len(x))
+    monkeypatch.delattr(np.linalg, "norm")
+    assert boxes.size == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize("parts", [1, 4])

@@ -106,6 +106,19 @@ void fit(const tree *t) {
   }
 }
 
+/* Length of the diagonal of the largest of the boxes of leaves, of which some may be around nothing. */
+double largest(const tree *t) {
+  double most = 0.0;
+  for (int64_t node = t->leaves - 1; node < 2 * t->leaves - 1; ++node) {
+    const double *low = t->boxes + 6 * node;
+    double way[3];
+    minus(low + 3, low, way);
+    if (way[0] >= 0.0)
+      most = larger(most, dot(way, way));
+  }
+  return sqrt(most);
+}
+
 static double from_box(const double *box, const double *at) {
   double result = 0.0;
   for (int i = 0; i < 3; ++i) {

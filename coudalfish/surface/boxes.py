@@ -32,6 +32,7 @@ typedef struct {
 } places;
 typedef struct { double share, size; } tolerance;
 void fit(const tree *);
+double largest(const tree *);
 int64_t nearest(const tree *, int64_t, const double *, const double *, const tolerance *, places *);
 void within(const tree *, int64_t, const double *, const double *, int8_t *);
 int64_t pierced(const tree *, int64_t, const double *, const double *, int64_t, int64_t *, int64_t *);
@@ -135,8 +136,7 @@ class Boxes:
     @cached_property
     def size(self) -> float:
         """Length of the diagonal of the largest of the smallest boxes; unit: length."""
-        low, high = self._tree[1][-self._tree[0].leaves :].swapaxes(0, 1)
-        return float(np.linalg.norm(np.where(low <= high, high - low, 0.0), axis=1).max())
+        return float(_functions().lib.largest(self._tree[0]))
 
     def nearest(self, x: FloatArray, limit: FloatArray) -> NearPlaces:
         """Nearest places to points, and those that are farther by rounding alone.
