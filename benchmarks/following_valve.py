@@ -119,8 +119,8 @@ def main(
     contact: float | None = None,
     preset: str = "jump",
     fill: int | None = None,
-    accuracy: float = 1e-2,
-    tangents: Literal["step", "pass"] = "step",
+    accuracy: float | None = None,
+    tangents: Literal["step", "pass"] | None = None,
     dt: float = 2e-4,
     halvings: int = 2,
     courant: float = 2.0,
@@ -141,8 +141,8 @@ def main(
         contact: range of contact, or more where points are too far apart for it [cm]; None: the demo's.
         preset: of the demo.
         fill: of factors that are made anew for every matrix; None: the demo's recipe, which keeps them.
-        accuracy: residuals at which a step ends, relative to its first ones or to the forces of coupling.
-        tangents: made for every step, or every pass of it.
+        accuracy: residuals at which a step ends, relative to its first ones or to the forces of coupling; None: usual.
+        tangents: made for every step, or every pass of it; None: usual.
         dt: largest time step [s].
         halvings: of it at most, where the Courant number asks for it.
         courant: the largest one of cells; leaflets pass half as many in a step.
@@ -157,7 +157,9 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     expected = np.load(out / EXPECTED) if restart else None
     solver = None if fill is None else two_level(fill, rtol=1e-5, fallback=direct())
-    coupling, band = {"block_rtol": accuracy, "tangent_update": tangents}, Band(size, reach=reach, growth=growth)
+    given = {"block_rtol": accuracy, "tangent_update": tangents}
+    coupling = {name: value for name, value in given.items() if value is not None}
+    band = Band(size, reach=reach, growth=growth)
     valve = FollowedValve(scene, base, band, ahead, contact, solver, coupling, expected)
     following = valve.following
 
