@@ -64,12 +64,12 @@ def test_ranks_that_differ_by_rounding_go_on_together(name, size):
 @pytest.mark.mpi
 @needs_ranks
 @pytest.mark.parametrize("rank", [0, 1])
-@pytest.mark.parametrize("where", ["_integrate_residual", "_share", "solve"])
+@pytest.mark.parametrize("where", ["_share_of_extracted", "_share", "solve"])
 def test_a_shell_that_fails_on_one_rank_fails_on_all(rank, where):
     scene = sheet_in_flow((0.0, 0.0), sheet_velocity=(0.5, 0.1))
     scene.fsi.takeStep()
     system = scene.shell.system
-    owner = {"_integrate_residual": system, "_share": system._part, "solve": scene.shell}[where]
+    owner = scene.shell if where == "solve" else system._part
     before, works = scene.y.x.array.copy(), getattr(owner, where)
 
     def fails(*_, **__):
